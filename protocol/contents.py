@@ -1,0 +1,129 @@
+"""Which arrays each message carries: one table, which decides what is let out and what is let in.
+
+Sizes are letters: T and E are the header's steps and columns; any other letter may be any size, but
+the same one throughout a message.
+"""
+
+from dataclasses import dataclass
+
+from protocol.messages import Phase, Segment, View, WithArrays
+from protocol.refusal import Reason, Refused, shown
+
+
+@dataclass(frozen=True)
+class ArrayRule:
+    """The type and shape that an array must have."""
+
+    dtype: str
+    shape: tuple[str | int, ...]
+    """Letters and numbers; a last "..." stands for any further dimensions."""
+    required: bool = True
+    """False for an array that a message may lack."""
+
+    @property
+    def text(self) -> str:
+        """The shape as people write it, such as "(T, E, d)"."""
+        sizes = ", ".join(str(size) for size in self.shape)
+        return f"({sizes},)" if len(self.shape) == 1 else f"({sizes})"
+
+
+Rules = dict[str, ArrayRule]
+
+_WALKED: Rules = {
+    "observation": ArrayRule("<f4", ("T", "E", "...")),
+    "episode": ArrayRule("<i4", ("T", "E")),
+}
+_ACTED: Rules = {
+    "latent": ArrayRule("<f4", ("T", "E", "d")),
+    "next_latent": ArrayRule("<f4", ("T", "E", "d")),
+    "goal": ArrayRule("<f4", ("T", "E", "d")),
+    "action": ArrayRule("<f4", ("T", "E", "a")),
+    "log_prob": ArrayRule("<f4", ("T", "E")),
+    "truncated": ArrayRule("|u1", ("T", "E")),
+    "terminated": ArrayRule("|u1", ("T", "E")),
+}
+_EVALUATED: Rules = {
+    "start_posture": ArrayRule("<f4", ("E", "p"), required=False),
+    "posture": ArrayRule("<f4", ("L", "E", "p")),
+    "latent": ArrayRule("<f4", ("L", "E", "d")),
+    "goal": ArrayRule("<i4", ("L", "E")),
+}
+SEGMENT_ARRAYS: dict[str, Rules] = {
+    Phase.BABBLE: _WALKED,
+    Phase.WALK: _WALKED,
+    Phase.GROUND: _ACTED,
+    Phase.PRACTISE: _ACTED,
+    Phase.EVALUATE: _EVALUATED,
+}
+"""By phase; in any other phase nobody sends experience."""
+MODEL_ARRAYS: Rules = {"onnx": ArrayRule("|u1", ("n",))}
+VIEW_ARRAYS: dict[str, Rules] = {
+    "latent": {
+        "latent": ArrayRule("<f4", ("E", "d")),
+        "goal": ArrayRule("<f4", ("E", "d"), required=False),
+        "posture": ArrayRule("<f4", ("E", "p"), required=False),
+    },
+    "pose": {"position": ArrayRule("<f4", ("B", 3)), "quaternion": ArrayRule("<f4", ("B", 4))},
+    "image": {"pixels": ArrayRule("|u1", ("H", "W", 3))},
+}
+"""By `View.view`."""
+
+
+def check_arrays(message: WithArrays) -> None:
+    """Check that the message carries the arrays that the tables say.
+
+    Raises `Refused`: bad-array, or bad-header for a segment of a phase without experience.
+    """
+    rules, sizes = _rules(message)
+    arrays = message.arrays
+    for name, array in arrays.items():
+        rule = rules.get(name)
+        if rule is None:
+            known = sorted(rules)
+            raise Refused(Reason.BAD_ARRAY, f"{_place(message)} may have {known}, but not {shown(name)}")
+        if array.dtype.str != rule.dtype or not _fits(rule.shape, array.shape, sizes):
+            bound = ", ".join(f"{letter}={size}" for letter, size in sizes.items() if letter in rule.shape)
+            raise Refused(
+                Reason.BAD_ARRAY,
+                f"{_place(message)}: array {name!r} must be {rule.dtype} of shape {rule.text}"
+                f"{f' with {bound}' if bound else ''}, but it is {array.dtype.str} of shape {array.shape}",
+            )
+    if len(arrays) < len(rules):
+        missing = sorted(name for name, rule in rules.items() if rule.required and name not in arrays)
+        if missing:
+            raise Refused(Reason.BAD_ARRAY, f"{_place(message)} has {sorted(arrays)}, but lacks {missing}")
+
+
+def _rules(message: WithArrays) -> tuple[Rules, dict[str, int]]:
+    if isinstance(message, Segment):
+        rules = SEGMENT_ARRAYS.get(message.phase)
+        if rules is None:
+            raise Refused(
+                Reason.BAD_HEADER, f"segment header: phase: nobody sends experience in {message.phase}"
+            )
+        return rules, {"T": message.steps, "E": message.columns}
+    if isinstance(message, View):
+        return VIEW_ARRAYS[message.view], {}
+    return MODEL_ARRAYS, {}
+
+
+def _place(message: WithArrays) -> str:
+    match message:
+        case Segment():
+            return f"a segment of {message.phase}"
+        case View():
+            return f"a {message.view} view"
+        case _:
+            return f"a {message.kind}"
+
+
+def _fits(rule: tuple[str | int, ...], shape: tuple[int, ...], sizes: dict[str, int]) -> bool:
+    if rule[-1] == "...":
+        rule = rule[:-1]
+        shape = shape[: len(rule)]
+    if len(rule) != len(shape):
+        return False
+    for wanted, size in zip(rule, shape, strict=True):
+        if size != (sizes.setdefault(wanted, size) if isinstance(wanted, str) else wanted):
+            return False
+    return True
