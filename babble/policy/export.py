@@ -1,0 +1,29 @@
+"""From the trained policy to the model that actors run."""
+
+import numpy as np
+
+from babble.onnx_model import policy_onnx
+from babble.policy.act import PolicyModel
+from babble.policy.goals import one_hot
+from babble.policy.ppo import GoalPPO
+
+TOLERANCE = 1e-5
+CHECKED_ROWS = 64
+
+
+class ExportError(RuntimeError):
+    """An exported model that does not compute what the network does."""
+
+
+def export_policy(ppo: GoalPPO) -> bytes:
+    """The policy as ONNX, checked on random inputs. Raises `ExportError` beyond 1e-5 of difference."""
+    exported = policy_onnx(ppo.export_weights())
+    rng = np.random.default_rng(0)
+    z = rng.dirichlet(np.ones(ppo.latent_dim), CHECKED_ROWS).astype(np.float32)
+    g = one_hot(rng.integers(0, ppo.latent_dim, CHECKED_ROWS), ppo.latent_dim)
+    expected, log_std = ppo.distribution(z, g)
+    mean, deviations = PolicyModel(exported).distribution(z, g)
+    difference = max(float(np.abs(mean - expected).max()), float(np.abs(deviations - log_std).max()))
+    if not difference <= TOLERANCE:
+        raise ExportError(f"the exported policy is {difference:g} off the network, over {TOLERANCE:g}")
+    return exported

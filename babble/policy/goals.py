@@ -1,0 +1,87 @@
+"""Goals (thesis 3.1, 3.2): one-hot vertices, when they change, and the reward for nearing them."""
+
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float32]
+Flags = NDArray[np.bool_]
+RewardForm = Literal["squared", "dense", "sparse"]
+
+
+def one_hot(index: ArrayLike, d: int) -> Floats:
+    """Vertices (..., d) of the simplex by their indices (...)."""
+    return np.asarray(np.eye(d, dtype=np.float32)[np.asarray(index)])
+
+
+def reward(
+    z: NDArray[Any], g: NDArray[Any], form: RewardForm = "squared", sparse_radius: float = 0.1
+) -> Floats:
+    """The reward (...) of being at z (..., d) with goal g (..., d).
+
+    squared: -||g - z||^2 (eq. 12); dense: -||g - z|| (eq. 9); sparse: 0 within `sparse_radius`,
+    else -1 (eq. 8). Raises ValueError for another form.
+    """
+    squared = np.square(g - z, dtype=np.float32).sum(axis=-1)
+    match form:
+        case "squared":
+            return np.asarray(-squared)
+        case "dense":
+            return np.asarray(-np.sqrt(squared))
+        case "sparse":
+            return np.where(np.sqrt(squared) <= sparse_radius, 0.0, -1.0).astype(np.float32)
+        case _:
+            raise ValueError(f"there is no reward form {form!r}; choose squared, dense or sparse")
+
+
+class _Clock:
+    """Each column's goal and the steps it still holds."""
+
+    def __init__(self, columns: int, latent_dim: int, period_steps: int, rng: np.random.Generator) -> None:
+        if columns < 1 or latent_dim < 2 or period_steps < 1:
+            raise ValueError(
+                "goals need columns >= 1, latent_dim >= 2 and a period >= 1 step, "
+                f"got {columns}, {latent_dim} and {period_steps}"
+            )
+        self.latent_dim = latent_dim
+        self._period_steps = period_steps
+        self._rng = rng
+        self._left = np.full(columns, period_steps)
+        self.index = rng.integers(0, latent_dim, columns)
+        """(E,) the vertex each column aims at"""
+
+    @property
+    def goal(self) -> Floats:
+        """(E, d) the vertices as one-hot rows; a new array each time."""
+        return one_hot(self.index, self.latent_dim)
+
+    def tick(self) -> Flags:
+        """Count one step; returns (E,) which columns drew a new goal just now."""
+        self._left -= 1
+        due = np.asarray(self._left == 0)
+        self._left[due] = self._period_steps
+        self.index = np.where(due, self._next(), self.index)
+        return due
+
+    def _next(self) -> NDArray[np.int64]:
+        raise NotImplementedError
+
+
+class GoalClock(_Clock):
+    """Goals of GROUND and PRACTISE: uniform, redrawn every `period_steps`, the columns out of phase."""
+
+    def __init__(self, columns: int, latent_dim: int, period_steps: int, rng: np.random.Generator) -> None:
+        super().__init__(columns, latent_dim, period_steps, rng)
+        self._left = rng.integers(1, period_steps + 1, columns)
+
+    def _next(self) -> NDArray[np.int64]:
+        return self._rng.integers(0, self.latent_dim, len(self.index))
+
+
+class WalkClock(_Clock):
+    """Goals of WALK and EVALUATE: a fixed number of steps each, and the next is always another vertex."""
+
+    def _next(self) -> NDArray[np.int64]:
+        jump = self._rng.integers(1, self.latent_dim, len(self.index))
+        return (self.index + jump) % self.latent_dim

@@ -1,0 +1,153 @@
+"""What a world is: copies of one body, stepped together, as actors use them."""
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from babble.worlds.geometry import Body, Points
+
+Floats = NDArray[np.float32]
+Flags = NDArray[np.bool_]
+Start = Literal["centre", "random"]
+
+
+@dataclass(frozen=True)
+class Step:
+    """What one step of all copies gave."""
+
+    observation: Floats
+    """(E, n) what the step arrived at, also where it ended an episode"""
+    terminated: Flags
+    """(E,) the episode ended for good"""
+    truncated: Flags
+    """(E,) the episode was cut off and could have gone on"""
+    external_reward: Floats
+    """(E,) the task's own reward, 0 without one; for the goal's see babble.policy.goals.reward"""
+
+
+class World(Protocol):
+    """`columns` copies (E) of one body."""
+
+    @property
+    def id(self) -> str:
+        """Its name in babble.worlds.WORLDS."""
+        ...
+
+    @property
+    def columns(self) -> int:
+        """E, the number of copies."""
+        ...
+
+    @property
+    def observation_size(self) -> int:
+        """n, the length of one observation."""
+        ...
+
+    @property
+    def action_size(self) -> int:
+        """a, the length of one action; each component acts within [-1, 1]."""
+        ...
+
+    @property
+    def posture_size(self) -> int:
+        """p, the length of one posture."""
+        ...
+
+    @property
+    def diameter(self) -> float:
+        """The greatest distance between two postures, the unit of separation."""
+        ...
+
+    @property
+    def crossing_axis(self) -> int | None:
+        """The component of the posture whose sign tells two halves apart; None where there are none."""
+        ...
+
+    def reset(self, start: Start = "centre") -> Floats:
+        """Put all copies at the centre or at uniformly random places; the observations (E, n)."""
+        ...
+
+    def step(self, action: Floats) -> Step:
+        """Act in all copies by (E, a), clipped to [-1, 1]. Raises ValueError for a wrong shape or NaN."""
+        ...
+
+    def restart(self, columns: Flags) -> Floats:
+        """Begin a new episode in the flagged copies (E,); returns the observations (E, n) of all."""
+        ...
+
+    def posture(self) -> Floats:
+        """(E, p) where the copies are; its distances define separation."""
+        ...
+
+    def uniform_points(self, count: int, rng: np.random.Generator) -> Floats:
+        """(count, n) observations spread uniformly over the body, for maps of the latent."""
+        ...
+
+
+class PointWorld:
+    """Points inside a body, each moved by a bounded velocity; implements `World`."""
+
+    observation_size = 3
+    action_size = 3
+    posture_size = 3
+
+    def __init__(
+        self,
+        id: str,
+        body: Body,
+        *,
+        speed: float,
+        columns: int,
+        rng: np.random.Generator,
+        crossing_axis: int | None = None,
+    ) -> None:
+        if columns < 1:
+            raise ValueError(f"a world needs at least one column, got {columns}")
+        self.id = id
+        self.body = body
+        self.speed = speed
+        self.columns = columns
+        self.crossing_axis = crossing_axis
+        self.rng = rng
+        self._position: Points = np.zeros((columns, 3))
+
+    @property
+    def diameter(self) -> float:
+        """The body's diameter."""
+        return self.body.diameter
+
+    def reset(self, start: Start = "centre") -> Floats:
+        """Put all points at the origin, or anywhere in the body."""
+        if start not in ("centre", "random"):
+            raise ValueError(f"start must be 'centre' or 'random', got {start!r}")
+        scattered = start == "random"
+        self._position = (
+            self.body.uniform(self.columns, self.rng) if scattered else np.zeros((self.columns, 3))
+        )
+        return self.posture()
+
+    def step(self, action: Floats) -> Step:
+        """Move each point by speed * action per axis; a wall lets it slide."""
+        if action.shape != (self.columns, 3) or not np.isfinite(action).all():
+            raise ValueError(
+                f"actions must be finite numbers of shape ({self.columns}, 3), got shape {action.shape}"
+            )
+        velocity = self.speed * np.clip(action, -1, 1, dtype=np.float64)
+        self._position = self.body.nearest(self._position + velocity)
+        none = np.zeros(self.columns, dtype=np.bool_)
+        return Step(self.posture(), none, none.copy(), np.zeros(self.columns, dtype=np.float32))
+
+    def restart(self, columns: Flags) -> Floats:
+        """Put the flagged points back at the origin."""
+        self._position[columns] = 0.0
+        return self.posture()
+
+    def posture(self) -> Floats:
+        """The positions (E, 3)."""
+        return self._position.astype(np.float32)
+
+    def uniform_points(self, count: int, rng: np.random.Generator) -> Floats:
+        """Positions drawn uniformly from the body."""
+        return self.body.uniform(count, rng).astype(np.float32)
