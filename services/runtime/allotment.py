@@ -1,0 +1,99 @@
+"""Who may send how many more segments: demand shared among the actors that are there (pure).
+
+A learner wants a number of columns (one column = one world's segment). It grants segments one by
+one to the least burdened actors, counts what is under way, and grants anew what a lost or stuck
+actor owes. So actors produce what is wanted and nothing else, whatever their number and speed.
+"""
+
+from dataclasses import dataclass
+
+
+@dataclass
+class _Sender:
+    columns: int
+    present: bool = True
+    upto: int = 0
+    granted: int = 0
+    granted_in_term: int = 0
+    since_secs: float = 0.0
+    """When it last delivered or was granted something after owing nothing."""
+
+    @property
+    def owed(self) -> int:
+        return max(0, self.granted - self.upto)
+
+
+class Allotment:
+    """The grants of one block's experience at one learner.
+
+    `granted` and `upto` are absolute sequence numbers of a sender's stream, so that a grant may
+    be heard twice or late without harm.
+    """
+
+    def __init__(self, *, columns_per_segment: int, window: int, patience_secs: float) -> None:
+        """`columns_per_segment` is the guess for senders not heard yet; `window` bounds what one owes."""
+        self._guess = columns_per_segment
+        self._window = window
+        self._patience_secs = patience_secs
+        self._senders: dict[str, _Sender] = {}
+        self.missing_columns = 0
+        """Columns still wanted, those under way not subtracted."""
+
+    def want(self, columns: int) -> None:
+        """Set what is still wanted, in columns."""
+        self.missing_columns = max(0, columns)
+
+    def new_term(self) -> None:
+        """Take back all grants: a new term wants other experience."""
+        for sender in self._senders.values():
+            sender.granted = sender.upto
+            sender.granted_in_term = 0
+
+    def appeared(self, life: str, now_secs: float) -> None:
+        """A sender is there (again)."""
+        sender = self._senders.setdefault(life, _Sender(columns=self._guess))
+        if not sender.present:
+            sender.present = True
+            sender.granted = sender.upto
+        sender.since_secs = now_secs
+
+    def vanished(self, life: str) -> None:
+        """A sender is gone; what it owes is granted to others."""
+        if life in self._senders:
+            self._senders[life].present = False
+
+    def received(self, life: str, upto: int, columns: int, now_secs: float) -> None:
+        """All segments of `life` below `upto` are held; its segments have `columns` columns."""
+        self.appeared(life, now_secs)
+        sender = self._senders[life]
+        sender.upto = max(sender.upto, upto)
+        sender.columns = columns
+
+    def grant(self, now_secs: float) -> dict[str, int]:
+        """Share out what is wanted and not under way; returns {life: granted} for all present."""
+        uncovered = self.missing_columns - sum(
+            s.owed * s.columns for s in self._senders.values() if s.present and self._trusted(s, now_secs)
+        )
+        while uncovered > 0 and (life := self._least_burdened(now_secs)) is not None:
+            sender = self._senders[life]
+            if sender.owed == 0:
+                sender.since_secs = now_secs
+            sender.granted = max(sender.granted, sender.upto) + 1
+            sender.granted_in_term += 1
+            uncovered -= sender.columns
+        return {life: s.granted for life, s in sorted(self._senders.items()) if s.present}
+
+    def overdue(self, now_secs: float) -> list[str]:
+        """Present senders that owe a segment for longer than the patience."""
+        return [x for x, s in sorted(self._senders.items()) if s.present and not self._trusted(s, now_secs)]
+
+    def _trusted(self, sender: _Sender, now_secs: float) -> bool:
+        return sender.owed == 0 or now_secs - sender.since_secs <= self._patience_secs
+
+    def _least_burdened(self, now_secs: float) -> str | None:
+        able = [
+            (s.owed, s.granted_in_term, life)
+            for life, s in self._senders.items()
+            if s.present and s.owed < self._window and self._trusted(s, now_secs)
+        ]
+        return min(able)[2] if able else None

@@ -1,0 +1,316 @@
+"""The shell that both learners share: hear phases and experience, work, publish versions, survive.
+
+What is learned is in the `Work` of each block; everything that has to do with being a process of a
+run (terms, acknowledgements, checkpoints, status) is here and the same for all learners.
+"""
+
+import json
+import logging
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+from protocol import keys
+from protocol.codec import encode
+from protocol.gate import Gate
+from protocol.latest import LatestPhase
+from protocol.messages import Phase, PhaseAnnounced, Progress, Score, Segment
+from services.runtime.allotment import Allotment
+from services.runtime.bus import Frame, Inbox
+from services.runtime.checkpoint import Checkpoints
+from services.runtime.intake import Intake, Want
+from services.runtime.models import ModelOffer
+from services.runtime.process import Context
+from services.runtime.spool import Spool
+from services.runtime.status import Heart
+
+log = logging.getLogger(__name__)
+
+IDLE_SECS = 0.1
+
+
+class Work(Protocol):
+    """One block's learning, without wire, clock or disk."""
+
+    block: str
+
+    def begin(self, announced: PhaseAnnounced) -> None:
+        """Start the work of a new term (none, if the phase is another learner's)."""
+
+    def take(self, segment: Segment) -> bool:
+        """Use a segment of this term; False if it is of no use (stale)."""
+
+    def advance(self) -> bool:
+        """Do a bounded quantum of work; False if there is nothing to do now."""
+
+    def wanted_columns(self) -> int:
+        """Columns of experience still wanted in this term."""
+
+    def request(self) -> tuple[Want, int]:
+        """How actors should act for it, and the least policy version to act with."""
+
+    def progress(self) -> Progress | None:
+        """How far it is in this term; None if the term is not its own."""
+
+    def model(self) -> ModelOffer | None:
+        """The newest version, if any."""
+
+    def scores(self) -> Sequence[Score]:
+        """What this term's evaluation found."""
+
+    def metrics(self) -> Mapping[str, float]:
+        """The newest measurements, by name."""
+
+    def totals(self) -> Mapping[str, int]:
+        """Totals since the run began, by name."""
+
+    def state(self) -> bytes:
+        """Everything that a restart needs."""
+
+    def restore(self, state: bytes) -> None:
+        """Become what `state()` described."""
+
+
+class Learner:
+    """A learner service around the works of its blocks; see `poll`."""
+
+    def __init__(self, context: Context, works: Sequence[Work], *, service: str, fingerprint: str) -> None:
+        self._context = context
+        self._works = {work.block: work for work in works}
+        self._fingerprint = fingerprint
+        self._folder = context.run_dir / "checkpoints" / service
+        self._models = context.run_dir / "models"
+        settings = context.settings
+        self._allotments = {
+            block: Allotment(
+                columns_per_segment=settings.actors.envs_per_actor,
+                window=settings.actors.window,
+                patience_secs=settings.wire.grant_secs,
+            )
+            for block in self._works
+        }
+        self._control = Inbox(context.wakeup, max_frames=keys.DELIVERY["phase"].keep)
+        self._control_gate = Gate(context.run, {"phase"})
+        self._gate = Gate(context.run, {"segment"}, fingerprint=fingerprint)
+        self._latest = LatestPhase()
+        self._announced: PhaseAnnounced | None = None
+        self._published: dict[str, int] = {}
+        self._finished: set[str] = set()
+        self._checkpoints = Checkpoints(self._folder)
+        self._spool = Spool(self._folder)
+        self._generation = 0
+        self._checkpointed_secs = 0.0
+        self._known: set[str] = set()
+        self._stale = 0
+        self._received = 0
+        self._stopping = False
+        self._urgent = False
+        self._intake = Intake(
+            context.bus,
+            self._gate,
+            consumer=service,
+            run=context.run,
+            life=context.life,
+            spool=self._spool,
+            wakeup=context.wakeup,
+        )
+        self._heart = Heart(
+            context.bus,
+            run=context.run,
+            service=service,
+            life=context.life,
+            interval_secs=settings.wire.status_secs,
+        )
+        self._resume()
+        context.bus.subscribe("phase", keys.phase(context.run), self._control)
+
+    def stop(self) -> None:
+        """Checkpoint and end at the next poll."""
+        self._stopping = True
+
+    def poll(self, now_secs: float) -> float | None:
+        """Hear, work a little, publish what is new; None once the run is done or stopped."""
+        over = self._hear_phase()
+        if over or self._stopping:
+            self._collect(now_secs)
+            self._checkpoint(now_secs)
+            self._heart.poll(now_secs, self._report, urgent=True)
+            return None
+        self._collect(now_secs)
+        busy = self._advance(now_secs)
+        self._answer(now_secs)
+        if now_secs - self._checkpointed_secs > self._context.settings.wire.checkpoint_secs:
+            self._checkpoint(now_secs)
+        self._heart.poll(now_secs, self._report, urgent=self._urgent)
+        self._urgent = False
+        return 0.0 if busy else IDLE_SECS
+
+    def _hear_phase(self) -> bool:
+        """Take the newest announcement; True if it says that the run is done."""
+        for arrival in self._control.take_all():
+            if not isinstance(arrival, Frame):
+                continue
+            message = self._control_gate.admit(arrival.key, arrival.data)
+            if isinstance(message, PhaseAnnounced) and self._latest.admit(message):
+                self._begin(message)
+        return self._announced is not None and self._announced.phase is Phase.DONE
+
+    def _begin(self, announced: PhaseAnnounced) -> None:
+        if self._announced is not None and announced.term <= self._announced.term:
+            return
+        log.info("term %d: %s", announced.term, announced.phase)
+        self._announced = announced
+        self._finished.clear()
+        for allotment in self._allotments.values():
+            allotment.new_term()
+        for block, work in self._works.items():
+            if block in announced.blocks:
+                work.begin(announced)
+        self._publish_models()
+        self._checkpoint(self._context.clock.now_secs())
+        self._urgent = True
+
+    def _collect(self, now_secs: float) -> None:
+        for segment in self._intake.collect():
+            self._received += 1
+            allotment = self._allotments.get(segment.block)
+            if allotment is not None:
+                upto = self._intake.ledger.upto(segment.life, segment.block)
+                allotment.received(segment.life, upto, segment.columns, now_secs)
+            self._use(segment)
+        self._note_members(now_secs)
+
+    def _use(self, segment: Segment) -> None:
+        work = self._works.get(segment.block)
+        current = self._announced is not None and segment.term == self._announced.term
+        if work is None or not current or not work.take(segment):
+            self._stale += 1
+
+    def _note_members(self, now_secs: float) -> None:
+        present = self._intake.present
+        for allotment in self._allotments.values():
+            for life in present - self._known:
+                allotment.appeared(life, now_secs)
+            for life in self._known - present:
+                allotment.vanished(life)
+        self._known = set(present)
+
+    def _advance(self, now_secs: float) -> bool:
+        busy = False
+        for block, work in self._works.items():
+            if block in self._finished or work.progress() is None:
+                continue
+            busy = work.advance() or busy
+            progress = work.progress()
+            if progress is not None and progress.done >= progress.wanted:
+                self._checkpoint(now_secs)
+                self._finished.add(block)
+                self._urgent = True
+        self._publish_models()
+        return busy
+
+    def _publish_models(self) -> None:
+        term = 0 if self._announced is None else self._announced.term
+        for block, work in self._works.items():
+            offer = work.model()
+            if offer is None or offer.version <= self._published.get(block, 0):
+                continue
+            offer.save(self._context.run_dir, block)
+            message = offer.message(
+                run=self._context.run,
+                term=term,
+                block=block,
+                life=self._context.life,
+                fingerprint=self._fingerprint,
+            )
+            self._context.bus.publish(
+                "model", keys.model(self._context.run, offer.kind, block), encode(message)
+            )
+            self._published[block] = offer.version
+
+    def _answer(self, now_secs: float) -> None:
+        term = 0 if self._announced is None else self._announced.term
+        for block, work in self._works.items():
+            want, policy_floor = work.request()
+            self._allotments[block].want(work.wanted_columns())
+            self._intake.answer(
+                block,
+                self._allotments[block],
+                term=term,
+                policy_floor=policy_floor,
+                want=want,
+                now_secs=now_secs,
+            )
+
+    def _checkpoint(self, now_secs: float) -> None:
+        book = {
+            "ledger": self._intake.ledger.state(),
+            "announced": None if self._announced is None else self._announced.model_dump(mode="json"),
+            "received": self._received,
+            "stale": self._stale,
+        }
+        payload = {f"work/{block}": work.state() for block, work in self._works.items()}
+        self._generation += 1
+        self._checkpoints.save(self._generation, {"book": json.dumps(book).encode(), **payload})
+        self._spool.rotate(self._generation)
+        self._checkpointed_secs = now_secs
+
+    def _resume(self) -> None:
+        self._checkpointed_secs = self._context.clock.now_secs()
+        found = self._checkpoints.newest()
+        if found is None:
+            return
+        self._generation, payload = found
+        book = json.loads(payload["book"])
+        self._intake.ledger.restore(book["ledger"])
+        self._received, self._stale = book["received"], book["stale"]
+        if book["announced"] is not None:
+            self._announced = PhaseAnnounced.model_validate(book["announced"], strict=False)
+        for block, work in self._works.items():
+            if f"work/{block}" in payload:
+                work.restore(payload[f"work/{block}"])
+        replayed = 0
+        for segment in self._intake.replay(self._generation):
+            replayed += 1
+            self._received += 1
+            self._use(segment)
+            while self._works[segment.block].advance():
+                pass
+        log.info("resumed checkpoint %d and %d segments from the spool", self._generation, replayed)
+        self._publish_models()
+
+    def _report(self) -> dict[str, Any]:
+        works = self._works.values()
+        announced = self._announced
+        progress = [p for p in (work.progress() for work in works) if p is not None]
+        totals = {name: count for work in works for name, count in work.totals().items()}
+        totals |= {"segments": self._received, "stale": self._stale, "inbox_dropped": self._intake.dropped}
+        ledger = self._intake.ledger
+        return {
+            "term": 0 if announced is None else announced.term,
+            "phase": None if announced is None else announced.phase,
+            "versions": {
+                f"{o.kind}/{block}": o.version
+                for block, o in ((b, w.model()) for b, w in self._works.items())
+                if o is not None
+            },
+            "totals": totals,
+            "progress": [p.model_copy(update={"finished": p.block in self._finished}) for p in progress],
+            "scores": [score for work in works for score in work.scores()],
+            "metrics": {name: value for work in works for name, value in work.metrics().items()},
+            "queue_depth": self._intake.queue_depth,
+            "lost": ledger.lost,
+            "duplicated": ledger.duplicated,
+            "refused": self._gate.refused | self._control_gate.refused,
+            "waiting_for": self._waiting(progress),
+            "last_error": self._gate.last_refusal,
+        }
+
+    def _waiting(self, progress: Sequence[Progress]) -> str:
+        if self._announced is None:
+            return "a coordinator's announcement"
+        owed = [p for p in progress if p.block not in self._finished and p.unit != "updates"]
+        if not owed:
+            return ""
+        first = owed[0]
+        amount = f"{first.done:,} of {first.wanted:,} {first.unit}"
+        return f"experience of {first.block}: {amount}; actors here: {len(self._known)}"

@@ -1,0 +1,222 @@
+"""The settings of a run: one TOML per scenario, frozen, with unknown keys refused.
+
+A scenario states what differs from the defaults here; the run folder's `config.toml` records the
+whole. Defaults come from the prototype's measurements and are argued in docs/operating.md.
+"""
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from protocol.messages import ALL_BLOCKS, Name
+from services.runtime.errors import UserError
+
+Positive = Annotated[int, Field(ge=1)]
+PositiveFloat = Annotated[float, Field(gt=0)]
+Fraction = Annotated[float, Field(gt=0, le=1)]
+
+
+class SettingsError(UserError, ValueError):
+    """A scenario or run configuration that cannot be used; the text is one sentence for a person."""
+
+
+class Section(BaseModel):
+    """A table of the TOML file."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class WorldSettings(Section):
+    """Which body, and its parameters (checked by babble.worlds)."""
+
+    id: str = "Cuboid"
+    parameters: dict[str, Any] = {}
+
+
+class BlockSettings(Section):
+    """One Composer block: what it observes, drives and how many vertices its simplex has."""
+
+    name: Name = "body"
+    latent_dim: Annotated[int, Field(ge=2, le=64)] = 2
+    observes: list[int] | None = None
+    """Indices of the world's observation; None for all of it."""
+    drives: list[int] | None = None
+    """Indices of the world's action; None for all of it."""
+    children: list[Name] = []
+    """Blocks of the level below whose latents it observes and whose goals it sets (Hi-Composer)."""
+
+
+class ActorSettings(Section):
+    """How many actors `babble up` starts, and how each works."""
+
+    count: Positive = 2
+    envs_per_actor: Annotated[int, Field(ge=1, le=4096)] = 8
+    """worlds stepped together with one batched inference"""
+    segment_steps: Annotated[int, Field(ge=2, le=65536)] = 128
+    """steps per world in one published segment; the rollout length of PPO"""
+    window: Annotated[int, Field(ge=1, le=64)] = 4
+    """segments sent and not yet acknowledged, at most: the back-pressure"""
+    resend_secs: PositiveFloat = 0.5
+    """an unacknowledged segment is sent again after this time"""
+
+
+class PhaseSettings(Section):
+    """How much of each phase (thesis 3.3); environment steps are summed over all worlds."""
+
+    babble_steps: Positive = 20_000
+    ground_steps: Positive = 32_768
+    walk_steps: Positive = 16_000
+    practise_steps: Positive = 12_288
+    iterations: Annotated[int, Field(ge=0)] = 4
+
+
+class NoiseSettings(Section):
+    """The random walk of the BABBLE phase."""
+
+    kind: Literal["white", "pink", "ou", "held"] = "ou"
+    scale: PositiveFloat = 0.6
+    """standard deviation of the action before clipping to the bounds"""
+    correlation: Annotated[float, Field(ge=0, lt=1)] = 0.9
+    """OU only: u <- correlation * u + noise"""
+    hold_steps: Positive = 10
+    """held only: steps between new draws"""
+
+
+class FitSettings(Section):
+    """One fit of the encoder."""
+
+    updates: Annotated[int, Field(ge=0)] = 800
+    window_steps: Positive = 30
+    """positives lie 1..window_steps apart in the same episode"""
+    temperature: PositiveFloat = 0.3
+
+
+class EncoderSettings(Section):
+    """The latent model (eq. 10) and its loss (eq. 4)."""
+
+    hidden: list[Positive] = [64, 64]
+    learning_rate: PositiveFloat = 1e-3
+    batch: Annotated[int, Field(ge=2)] = 128
+    similarity: Literal["l2", "cosine", "dot"] = "l2"
+    encode: FitSettings = FitSettings()
+    refine: FitSettings = FitSettings(updates=300, window_steps=8, temperature=0.2)
+    blend: Fraction = 1.0
+    """lambda of eq. 13; 1 is the thesis's alternative, a warm start without mixing"""
+
+
+class PolicySettings(Section):
+    """PPO (Stable-Baselines3) of the goal-conditioned policy (eq. 11)."""
+
+    hidden: list[Positive] = [64, 64]
+    learning_rate: PositiveFloat = 1e-3
+    rollout_columns: Positive = 16
+    """segments' columns in one update: a rollout is segment_steps x rollout_columns"""
+    epochs: Positive = 6
+    minibatch: Annotated[int, Field(ge=2)] = 512
+    discount: Fraction = 0.95
+    gae_lambda: Fraction = 0.95
+    clip: PositiveFloat = 0.2
+    entropy_weight: Annotated[float, Field(ge=0)] = 0.0
+    value_weight: Annotated[float, Field(ge=0)] = 0.5
+    max_grad_norm: PositiveFloat = 0.5
+    log_std: float = 0.0
+    """initial log standard deviation of the actions"""
+    max_policy_lag: Annotated[int, Field(ge=1)] = 2
+    """experience older than this many versions is counted and dropped"""
+
+
+class GoalSettings(Section):
+    """Goals and the reward for reaching them."""
+
+    period_steps: Positive = 100
+    """environment steps between goal draws in GROUND and PRACTISE"""
+    walk_steps_per_goal: Positive = 100
+    """environment steps per vertex in WALK"""
+    reward: Literal["squared", "dense", "sparse"] = "squared"
+    """eq. 12, eq. 9 or eq. 8"""
+    sparse_radius: PositiveFloat = 0.1
+    """epsilon_g of eq. 8"""
+
+
+class EvaluationSettings(Section):
+    """How every iteration is scored."""
+
+    columns: Positive = 16
+    legs: Annotated[int, Field(ge=3)] = 5
+    """goals one after the other; the first leg is not scored"""
+    leg_steps: Positive = 100
+
+
+class WireSettings(Section):
+    """Deadlines of the distributed run."""
+
+    status_secs: PositiveFloat = 1.0
+    connect_secs: PositiveFloat = 20.0
+    """how long a process tries to reach the router before it says so and ends"""
+    stall_secs: PositiveFloat = 60.0
+    """no progress for so long is reported, with who waits for whom"""
+    grant_secs: PositiveFloat = 10.0
+    """a granted segment that does not come within this time is granted to another actor"""
+    checkpoint_secs: PositiveFloat = 60.0
+
+
+class RunSettings(Section):
+    """A whole run."""
+
+    scenario: Name
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    world: WorldSettings = WorldSettings()
+    block: list[BlockSettings] = [BlockSettings()]
+    actors: ActorSettings = ActorSettings()
+    phases: PhaseSettings = PhaseSettings()
+    babbling: NoiseSettings = NoiseSettings()
+    encoder: EncoderSettings = EncoderSettings()
+    policy: PolicySettings = PolicySettings()
+    goals: GoalSettings = GoalSettings()
+    evaluation: EvaluationSettings = EvaluationSettings()
+    wire: WireSettings = WireSettings()
+
+    @model_validator(mode="after")
+    def _blocks_are_distinct(self) -> "RunSettings":
+        names = [block.name for block in self.block]
+        if not names or len(set(names)) != len(names) or ALL_BLOCKS in names:
+            raise ValueError(f"block names must be distinct and none may be {ALL_BLOCKS!r}; got {names}")
+        return self
+
+    def one_block(self, name: str) -> BlockSettings:
+        """The settings of the named block. Raises KeyError for an unknown one."""
+        for block in self.block:
+            if block.name == name:
+                return block
+        raise KeyError(name)
+
+
+def load(path: Path, **overrides: Any) -> RunSettings:
+    """The settings of a TOML file; `overrides` replace top-level values.
+
+    Raises `SettingsError` with one sentence that names the file and the key.
+    """
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SettingsError(f"cannot read the scenario {path}: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SettingsError(f"{path} is not valid TOML: {error}") from None
+    return parse({**table, **overrides}, origin=str(path))
+
+
+def parse(table: dict[str, Any], *, origin: str) -> RunSettings:
+    """The settings of an already read table. Raises `SettingsError`, naming `origin` and the key."""
+    try:
+        return RunSettings.model_validate(table)
+    except ValidationError as error:
+        fault = error.errors(include_url=False, include_context=False)[0]
+        place = ".".join(str(part) for part in fault["loc"]) or "the file"
+        what = (
+            "is not a known key"
+            if fault["type"] == "extra_forbidden"
+            else f"{fault['msg'].lower()}, got {fault['input']!r}"
+        )
+        raise SettingsError(f"{origin}: {place}: {what}") from None
