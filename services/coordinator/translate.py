@@ -1,0 +1,84 @@
+"""Between the wire's messages and the machine's words (pure)."""
+
+from math import isfinite
+
+from protocol import messages
+from services.coordinator.state import Plan
+from services.coordinator.table import Phase
+from services.coordinator.words import Announce, BlockProgress, ScoreRow, StatusReported
+
+LONGEST_REASON = 300
+"""Characters kept of what a process says it waits for: it goes into the journal."""
+
+
+def status_reported(now_secs: float, status: messages.Status) -> StatusReported:
+    """What the machine hears of a status; scores that are not numbers are left out, see `not_a_number`."""
+    return StatusReported(
+        now=now_secs,
+        service=status.service,
+        life=status.life,
+        term=status.term,
+        versions={name: version for name, version in status.versions.items() if version > 0},
+        progress=tuple(
+            BlockProgress(
+                block=said.block, done=said.done, wanted=said.wanted, unit=said.unit, finished=said.finished
+            )
+            for said in status.progress
+        ),
+        scores=tuple(_row(score) for score in status.scores if _is_finite(score)),
+        waiting_for=status.waiting_for[:LONGEST_REASON],
+    )
+
+
+def not_a_number(status: messages.Status) -> str:
+    """A sentence on the first score that is not a number; empty if there is none."""
+    for score in status.scores:
+        if not _is_finite(score):
+            return (
+                f"{status.life} reported a score of {score.block}, iteration {score.iteration}, that is "
+                "not a number, and it was left out; look at that block's figures for a collapse"
+            )
+    return ""
+
+
+def announced(order: Announce, *, plan: Plan, run: str, life: str, seq: int) -> messages.PhaseAnnounced:
+    """The message of an announcement."""
+    return messages.PhaseAnnounced(
+        run=run,
+        term=order.term,
+        block=messages.ALL_BLOCKS,
+        life=life,
+        seq=seq,
+        phase=messages.Phase(order.phase),
+        level=order.level,
+        iteration=order.iteration,
+        iterations=plan.iterations,
+        evaluates=None if order.evaluates is None else messages.Phase(order.evaluates),
+        blocks={
+            block: messages.ModelFloor(encoder=encoder, policy=policy)
+            for block, (encoder, policy) in order.floors.items()
+        },
+    )
+
+
+def _is_finite(score: messages.Score) -> bool:
+    figures = (score.separation, score.separation_worst, score.z_min, score.z_goal, score.switch_success)
+    return all(isfinite(figure) for figure in (*figures, score.crossing or 0.0))
+
+
+def _row(score: messages.Score) -> ScoreRow:
+    return ScoreRow(
+        block=score.block,
+        iteration=score.iteration,
+        phase=Phase(score.phase),
+        separation=score.separation,
+        separation_worst=score.separation_worst,
+        z_min=score.z_min,
+        z_goal=score.z_goal,
+        switch_success=score.switch_success,
+        crossing=score.crossing,
+        policy=score.policy,
+        steps=score.steps,
+        encoder_version=score.encoder_version,
+        policy_version=score.policy_version,
+    )
