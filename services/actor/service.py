@@ -1,0 +1,182 @@
+"""The actor: steps its worlds as the phase says, sends what is granted, runs the newest models."""
+
+import logging
+from typing import Any
+
+import numpy as np
+
+from protocol import keys
+from protocol.gate import Gate
+from protocol.latest import LatestPhase
+from protocol.messages import Ack, Model, Phase, PhaseAnnounced
+from services.actor.collect import Collector, EvaluationCollector, SegmentCollector, ways_of
+from services.actor.config import body_of, seeds_of
+from services.actor.models import ModelShelf
+from services.actor.outbox import CONSUMER_OF, Outbox
+from services.runtime.bus import Frame, Inbox
+from services.runtime.interface import interface_of
+from services.runtime.process import Context
+from services.runtime.status import Heart
+
+log = logging.getLogger(__name__)
+
+SERVICE = "actor"
+QUANTUM_STEPS = 64
+"""Steps of the worlds between two looks at the inbox."""
+IDLE_SECS = 0.05
+
+
+class Actor:
+    """The actor service; see `poll`."""
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        settings = context.settings
+        acting, evaluating, worlds, fresh = seeds_of(settings, context.index, context.life).spawn(4)
+        self._rng = np.random.default_rng(acting)
+        self._evaluation_rng = np.random.default_rng(evaluating)
+        self._body = body_of(settings, np.random.default_rng(worlds))
+        self._fresh_body = body_of(settings, np.random.default_rng(fresh))
+        world = self._body.world
+        interface = interface_of(
+            settings, observation_size=world.observation_size, action_size=world.action_size
+        )
+        fingerprint = interface.fingerprint()
+        self._observation = world.reset()
+        self._shelf = ModelShelf(block.name for block in settings.block)
+        self._outbox = Outbox(
+            context.bus,
+            run=context.run,
+            life=context.life,
+            fingerprint=fingerprint,
+            window=settings.actors.window,
+            resend_secs=settings.actors.resend_secs,
+        )
+        self._gate = Gate(context.run, {"phase", "ack", "model"}, fingerprint=fingerprint)
+        self._latest = LatestPhase()
+        self._announced: PhaseAnnounced | None = None
+        self._collector: Collector | None = None
+        self._env_steps = 0
+        self._stopping = False
+        self._urgent = True
+        self._inbox = Inbox(context.wakeup, max_frames=keys.DELIVERY["ack"].keep)
+        bus = context.bus
+        bus.subscribe("phase", keys.phase(context.run), self._inbox)
+        bus.subscribe("ack", keys.ack(context.run, context.life, "*"), self._inbox)
+        bus.subscribe("model", keys.model(context.run, "*", "*"), self._inbox)
+        self._heart = Heart(
+            bus,
+            run=context.run,
+            service=SERVICE,
+            life=context.life,
+            interval_secs=settings.wire.status_secs,
+        )
+
+    def stop(self) -> None:
+        """End at the next poll; what is unfinished was wanted by nobody yet."""
+        self._stopping = True
+
+    def poll(self, now_secs: float) -> float | None:
+        """Hear, act a little if something is wanted, send; None once the run is done or stopped."""
+        self._hear()
+        over = self._announced is not None and self._announced.phase is Phase.DONE
+        if over or self._stopping:
+            self._heart.poll(now_secs, self._report, urgent=True)
+            return None
+        acted = self._act(now_secs)
+        self._outbox.resend(now_secs)
+        self._heart.poll(now_secs, self._report, urgent=self._urgent)
+        self._urgent = False
+        return 0.0 if acted else IDLE_SECS
+
+    def _hear(self) -> None:
+        for arrival in self._inbox.take_all():
+            if not isinstance(arrival, Frame):
+                continue
+            match self._gate.admit(arrival.key, arrival.data):
+                case PhaseAnnounced() as announced if self._latest.admit(announced):
+                    self._begin(announced)
+                case Ack(to=to) as ack if to == self._context.life:
+                    self._outbox.hear(ack)
+                case Model() as model:
+                    self._urgent = self._shelf.admit(model) or self._urgent
+
+    def _begin(self, announced: PhaseAnnounced) -> None:
+        if self._announced is not None and announced.term <= self._announced.term:
+            return
+        log.info("term %d: %s", announced.term, announced.phase)
+        if isinstance(self._collector, SegmentCollector):
+            self._observation = self._collector.observation
+        if self._collector is not None:
+            self._env_steps += self._collector.env_steps
+        self._announced = announced
+        self._collector = self._new_collector(announced)
+        self._urgent = True
+
+    def _new_collector(self, announced: PhaseAnnounced) -> Collector | None:
+        settings = self._context.settings
+        if announced.phase is Phase.EVALUATE:
+            return EvaluationCollector(self._fresh_body, self._shelf, settings, self._evaluation_rng)
+        if announced.phase not in CONSUMER_OF:
+            return None
+        blocks = sorted(announced.blocks)
+        ways = ways_of(announced.phase, self._body, blocks, self._shelf, settings, self._rng)
+        return SegmentCollector(
+            self._body,
+            ways,
+            segment_steps=settings.actors.segment_steps,
+            observation=self._observation,
+        )
+
+    def _act(self, now_secs: float) -> bool:
+        """Work on the current segment; False if nothing is wanted or the models are not here yet."""
+        collector, announced = self._collector, self._announced
+        if collector is None or announced is None:
+            return False
+        if collector.at_border() and not self._may_begin(announced, collector):
+            return False
+        for finished in collector.advance(QUANTUM_STEPS):
+            self._outbox.send(finished, announced.phase, announced.term, now_secs)
+        return True
+
+    def _may_begin(self, announced: PhaseAnnounced, collector: Collector) -> bool:
+        """True if some block's next segment is granted and every granted block's models are recent enough."""
+        wanted = False
+        for block, floor in announced.blocks.items():
+            ack = self._outbox.grant(announced.phase, announced.term, block)
+            if ack is None:
+                continue
+            held = self._shelf.of(block)
+            if not held.meets(floor) or held.policy_version < ack.policy_floor:
+                return False
+            if isinstance(collector, EvaluationCollector):
+                collector.mode = ack.want
+            wanted = True
+        return wanted
+
+    def _report(self) -> dict[str, Any]:
+        announced, collector = self._announced, self._collector
+        in_term = 0 if collector is None else collector.env_steps
+        return {
+            "term": 0 if announced is None else announced.term,
+            "phase": None if announced is None else announced.phase,
+            "versions": self._shelf.versions(),
+            "totals": {
+                "env_steps": self._env_steps + in_term,
+                "segments": self._outbox.segments,
+                "resent": self._outbox.resent,
+                "unwanted": self._outbox.unwanted,
+                "stale_models": self._shelf.stale,
+                "unusable_models": self._shelf.unusable,
+                "inbox_dropped": self._inbox.dropped,
+            },
+            "queue_depth": self._outbox.unacknowledged,
+            "refused": dict(self._gate.refused),
+            "waiting_for": "" if announced is not None else "a coordinator's announcement",
+            "last_error": self._shelf.last_error or self._gate.last_refusal,
+        }
+
+
+def build(context: Context) -> Actor:
+    """The actor of a run."""
+    return Actor(context)

@@ -1,0 +1,184 @@
+"""One block's encoder learning: collect in BABBLE and WALK, fit in ENCODE and REFINE (thesis 3.3)."""
+
+import io
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from babble.encoder.export import export_encoder
+from babble.encoder.network import Encoder
+from babble.encoder.training import EncoderTrainer
+from babble.memory import ExperienceMemory
+from protocol.messages import Phase, PhaseAnnounced, Progress, Score, Segment
+from services.encoder_learner.config import COLLECTS, FITS, EncoderWorkConfig
+from services.runtime.intake import Want
+from services.runtime.models import ModelOffer
+
+UPDATES_PER_QUANTUM = 25
+"""Updates between two looks at the inbox: some 50 ms."""
+
+
+class EncoderWork:
+    """The `Work` of one encoder."""
+
+    def __init__(self, config: EncoderWorkConfig) -> None:
+        self.block = config.block
+        self._config = config
+        self._memory = ExperienceMemory()
+        self._trainer: EncoderTrainer | None = None
+        self._phase: Phase | None = None
+        self._version = 0
+        self._updates_done = 0
+        self._updates_total = 0
+        self._fitted = False
+        self._offer: ModelOffer | None = None
+        self._metrics: dict[str, float] = {}
+
+    def begin(self, announced: PhaseAnnounced) -> None:
+        """Start a term: an empty memory to collect into, or a fit of what was collected."""
+        self._phase = announced.phase
+        if announced.phase in COLLECTS:
+            self._memory.clear()
+        elif announced.phase in FITS:
+            fit = self._config.fit(announced.phase)
+            self._updates_done = 0
+            self._fitted = False
+            if self._trainer is None:
+                self._trainer = self._new_trainer(*self._memory.scaling())
+            self._trainer.begin_fit(window_steps=fit.window_steps, temperature=fit.temperature)
+
+    def take(self, segment: Segment) -> bool:
+        """Add observations; anything beyond what the phase wants is still welcome."""
+        if self._phase not in COLLECTS or "observation" not in segment.arrays:
+            return False
+        self._memory.extend(segment.life, segment.arrays["observation"], segment.arrays["episode"])
+        return True
+
+    def advance(self) -> bool:
+        """A few updates of the encoder, if this is a fit and not done."""
+        if self._phase not in FITS or self._trainer is None:
+            return False
+        wanted = self._config.fit(self._phase).updates
+        count = min(UPDATES_PER_QUANTUM, wanted - self._updates_done)
+        if count > 0:
+            self._metrics = {
+                f"{self.block}/encoder/{name}": value
+                for name, value in self._trainer.update(self._memory, count).items()
+            }
+            self._updates_done += count
+            self._updates_total += count
+        if self._updates_done < wanted:
+            return True
+        if not self._fitted:
+            self._end_fit(self._trainer, self._phase)
+        return False
+
+    def wanted_columns(self) -> int:
+        """What is still to collect, in columns of `segment_steps` steps."""
+        if self._phase not in COLLECTS:
+            return 0
+        missing = self._config.steps[self._phase] - self._memory.steps
+        return max(0, -(-missing // self._config.segment_steps))
+
+    def request(self) -> tuple[Want, int]:
+        """Random walk in BABBLE, sampled actions in WALK; any policy version does."""
+        return ("sampled" if self._phase is Phase.WALK else "random"), 0
+
+    def progress(self) -> Progress | None:
+        """Steps collected, or updates done."""
+        if self._phase in COLLECTS:
+            return Progress(
+                block=self.block,
+                done=self._memory.steps,
+                wanted=self._config.steps[self._phase],
+                unit="steps",
+            )
+        if self._phase in FITS:
+            # A fit of no updates still has the work of publishing: it counts as one.
+            wanted = max(1, self._config.fit(self._phase).updates)
+            done = wanted if self._fitted else min(self._updates_done, wanted - 1)
+            return Progress(block=self.block, done=done, wanted=wanted, unit="updates")
+        return None
+
+    def model(self) -> ModelOffer | None:
+        """The newest encoder."""
+        return self._offer
+
+    def scores(self) -> Sequence[Score]:
+        """None: encoders are scored together with a policy."""
+        return ()
+
+    def metrics(self) -> Mapping[str, float]:
+        """Loss, alignment and uniformity of the last updates."""
+        return self._metrics
+
+    def totals(self) -> Mapping[str, int]:
+        """Updates of the encoder since the run began."""
+        return {f"{self.block}/encoder_updates": self._updates_total}
+
+    def state(self) -> bytes:
+        """Weights, optimiser, memory, random state and counts."""
+        buffer = io.BytesIO()
+        torch.save(
+            {
+                "phase": None if self._phase is None else self._phase.value,
+                "version": self._version,
+                "updates_done": self._updates_done,
+                "updates_total": self._updates_total,
+                "fitted": self._fitted,
+                "memory": {name: torch.from_numpy(array) for name, array in self._memory.state().items()},
+                "trainer": None if self._trainer is None else self._trainer.state(),
+                "onnx": None if self._offer is None else self._offer.onnx,
+            },
+            buffer,
+        )
+        return buffer.getvalue()
+
+    def restore(self, state: bytes) -> None:
+        """Go on from a state; nothing in it is unpickled as code."""
+        saved: dict[str, Any] = torch.load(io.BytesIO(state), weights_only=True)
+        self._phase = None if saved["phase"] is None else Phase(saved["phase"])
+        self._version = saved["version"]
+        self._updates_done = saved["updates_done"]
+        self._updates_total = saved["updates_total"]
+        self._fitted = saved["fitted"]
+        self._memory.restore({name: tensor.numpy() for name, tensor in saved["memory"].items()})
+        if saved["trainer"] is not None:
+            # The scaling is part of the saved weights; the memory it came from may be gone.
+            self._trainer = self._new_trainer(np.zeros(self._config.observation_size, np.float32), 1.0)
+            self._trainer.restore(saved["trainer"])
+        if saved["onnx"] is not None:
+            self._offer = self._as_offer(saved["onnx"])
+
+    def _end_fit(self, trainer: EncoderTrainer, phase: Phase) -> None:
+        """Blend (eq. 13; the first fit has nothing to blend with) and make the next version."""
+        trainer.end_fit(blend=1.0 if phase is Phase.ENCODE else self._config.encoder.blend)
+        self._fitted = True
+        self._version += 1
+        self._offer = self._as_offer(export_encoder(trainer.encoder))
+
+    def _as_offer(self, onnx: bytes) -> ModelOffer:
+        return ModelOffer(
+            kind="encoder", version=self._version, encoder_version=self._version, onnx=onnx, keep=True
+        )
+
+    def _new_trainer(self, mean: NDArray[np.float32], scale: float) -> EncoderTrainer:
+        """A fresh encoder with the observation scaling of BABBLE frozen into it."""
+        encoder = Encoder(
+            self._config.observation_size,
+            self._config.latent_dim,
+            hidden=tuple(self._config.encoder.hidden),
+            mean=mean,
+            scale=scale,
+            seed=self._config.seed,
+        )
+        return EncoderTrainer(
+            encoder,
+            learning_rate=self._config.encoder.learning_rate,
+            batch=self._config.encoder.batch,
+            similarity=self._config.encoder.similarity,
+            seed=self._config.seed,
+        )

@@ -1,0 +1,121 @@
+"""The EVALUATE phase at the learner: legs come in, scores go out; nothing is trained."""
+
+from collections.abc import Mapping
+from typing import Any, Literal, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from babble.scores import Legs, score
+from protocol.messages import Phase, Score, Segment
+from services.policy_learner.config import PolicyWorkConfig
+
+Mode = Literal["mean", "sampled"]
+MODES: tuple[Mode, ...] = ("mean", "sampled")
+_DTYPES = {"posture": np.float32, "latent": np.float32, "goal": np.int32}
+LEG_ARRAYS = tuple(_DTYPES)
+
+
+class Evaluation:
+    """Collects the legs of one term, first with mean and then with sampled actions."""
+
+    def __init__(
+        self, config: PolicyWorkConfig, *, iteration: int, phase: Phase, versions: tuple[int, int]
+    ) -> None:
+        """`phase` is the phase whose result is measured; `versions` are (encoder, policy)."""
+        self._config = config
+        self._iteration = iteration
+        self._phase = phase
+        self.versions = versions
+        self._legs: dict[Mode, list[dict[str, NDArray[np.generic]]]] = {mode: [] for mode in MODES}
+        self.scores: list[Score] = []
+
+    @property
+    def want(self) -> Mode:
+        """The kind of actions that is still too few."""
+        return next((mode for mode in MODES if self._missing(mode) > 0), "sampled")
+
+    @property
+    def done_columns(self) -> int:
+        """Columns measured, of both kinds."""
+        return sum(min(self._columns(mode), self._config.evaluation.columns) for mode in MODES)
+
+    @property
+    def wanted_columns(self) -> int:
+        """Columns to measure, of both kinds."""
+        return len(MODES) * self._config.evaluation.columns
+
+    def missing_columns(self) -> int:
+        """Columns still wanted of the kind that is wanted now."""
+        return self._missing(self.want)
+
+    def take(self, segment: Segment) -> bool:
+        """Add the legs of a segment; False if they are of no use."""
+        if segment.policy not in MODES or (segment.encoder_version, segment.policy_version) != self.versions:
+            return False
+        mode = cast(Mode, segment.policy)
+        if self._missing(mode) <= 0 or not all(name in segment.arrays for name in LEG_ARRAYS):
+            return False
+        self._add(mode, {name: np.array(segment.arrays[name]) for name in LEG_ARRAYS})
+        return True
+
+    def state(self) -> dict[str, object]:
+        """What was measured so far, as plain lists for a checkpoint."""
+        return {
+            "iteration": self._iteration,
+            "phase": self._phase.value,
+            "versions": list(self.versions),
+            "legs": {
+                mode: [{name: legs[name].tolist() for name in LEG_ARRAYS} for legs in taken]
+                for mode, taken in self._legs.items()
+            },
+        }
+
+    @classmethod
+    def restored(cls, config: PolicyWorkConfig, state: Mapping[str, Any]) -> "Evaluation":
+        """The evaluation that `state()` described."""
+        encoder_version, policy_version = state["versions"]
+        evaluation = cls(
+            config,
+            iteration=state["iteration"],
+            phase=Phase(state["phase"]),
+            versions=(encoder_version, policy_version),
+        )
+        for mode in MODES:
+            for legs in state["legs"][mode]:
+                evaluation._add(mode, {name: np.asarray(legs[name], _DTYPES[name]) for name in LEG_ARRAYS})
+        return evaluation
+
+    def _add(self, mode: Mode, legs: dict[str, NDArray[np.generic]]) -> None:
+        self._legs[mode].append(legs)
+        if self._missing(mode) <= 0:
+            self.scores.append(self._score(mode))
+
+    def _columns(self, mode: Mode) -> int:
+        return sum(legs["goal"].shape[1] for legs in self._legs[mode])
+
+    def _missing(self, mode: Mode) -> int:
+        return self._config.evaluation.columns - self._columns(mode)
+
+    def _score(self, mode: Mode) -> Score:
+        joined = {
+            name: np.concatenate([legs[name] for legs in self._legs[mode]], axis=1)[
+                :, : self._config.evaluation.columns
+            ]
+            for name in LEG_ARRAYS
+        }
+        found = score(
+            Legs(**joined), diameter=self._config.diameter, crossing_axis=self._config.crossing_axis
+        )
+        legs, columns = joined["goal"].shape
+        return Score(
+            run=self._config.run,
+            block=self._config.block,
+            iteration=self._iteration,
+            phase=self._phase,
+            policy=mode,
+            steps=legs * columns * self._config.evaluation.leg_steps,
+            encoder_version=self.versions[0],
+            policy_version=self.versions[1],
+            **found,
+        )

@@ -1,0 +1,105 @@
+"""The whole system in one process: memory bus, hand-turned clock, services polled in turn.
+
+A seeded run repeats bit for bit. Services crash and start when the test says so.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from services.actor.service import build as build_actor
+from services.coordinator.service import CoordinatorService as build_coordinator
+from services.encoder_learner.service import build as build_encoder_learner
+from services.policy_learner.service import build as build_policy_learner
+from services.runtime.bus import Bus, Wakeup
+from services.runtime.clock import HandClock
+from services.runtime.memory_bus import Faults, MemoryBus
+from services.runtime.process import Context, Service
+from services.runtime.settings import RunSettings
+
+from protocol import keys
+
+BUILDERS: dict[str, Callable[[Context], Service]] = {
+    "coordinator": build_coordinator,
+    "encoder_learner": build_encoder_learner,
+    "policy_learner": build_policy_learner,
+    "actor": build_actor,
+}
+TURN_SECS = 0.005
+"""How far the clock goes between two rounds of polls."""
+
+
+@dataclass
+class _Running:
+    service: Service
+    bus: Bus
+
+
+@dataclass
+class Simulation:
+    """A run on the memory bus."""
+
+    settings: RunSettings
+    run_dir: Path
+    run: str = "simulated"
+    hub: MemoryBus = field(default_factory=MemoryBus)
+    clock: HandClock = field(default_factory=lambda: HandClock(1_000.0))
+    running: dict[str, _Running] = field(default_factory=dict)
+    ended: list[str] = field(default_factory=list)
+    rounds: int = 0
+
+    def start(self, service: str, life: str, index: int = 0) -> None:
+        """Start a service under a life name."""
+        wakeup = Wakeup()
+        bus = self.hub.connect(life, wakeup)
+        context = Context(
+            bus=bus,
+            clock=self.clock,
+            settings=self.settings,
+            run=self.run,
+            run_dir=self.run_dir,
+            life=life,
+            wakeup=wakeup,
+            index=index,
+        )
+        built = BUILDERS[service](context)
+        bus.announce(keys.alive(self.run, service, life))
+        self.running[life] = _Running(built, bus)
+
+    def start_all(self, actors: int) -> None:
+        """The coordinator, both learners and some actors."""
+        self.start("coordinator", "coordinator-0")
+        self.start("encoder_learner", "encoder_learner-0")
+        self.start("policy_learner", "policy_learner-0")
+        for index in range(actors):
+            self.start("actor", f"actor-{index}", index)
+
+    def crash(self, life: str) -> None:
+        """As `kill -9`: no goodbye, nothing saved."""
+        del self.running[life]
+        self.hub.crash(life)
+
+    def round(self) -> None:
+        """Poll everything once and turn the clock."""
+        self.rounds += 1
+        for life, running in list(self.running.items()):
+            if running.service.poll(self.clock.now_secs()) is None:
+                running.bus.close()
+                del self.running[life]
+                self.ended.append(life)
+        self.clock.advance(TURN_SECS)
+
+    def until(self, condition: Callable[[], bool], rounds: int = 200_000) -> None:
+        """Go on until the condition holds. Raises AssertionError after so many rounds."""
+        for _ in range(rounds):
+            if condition():
+                return
+            self.round()
+        raise AssertionError(f"not so after {rounds} rounds; running: {sorted(self.running)}")
+
+    def until_all_ended(self) -> None:
+        """Go on until every service has ended by itself."""
+        self.until(lambda: not self.running)
+
+
+__all__ = ["Faults", "Simulation"]
