@@ -4,6 +4,7 @@ Separation alone proves nothing (an untrained encoder reaches 0.94 in a box), so
 carries z_min too.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any, Literal, Protocol, TypedDict
@@ -103,30 +104,73 @@ def score(legs: Legs, diameter: float, crossing_axis: int | None = None) -> Scor
     )
 
 
+@dataclass(frozen=True)
+class Walker:
+    """One block's models, and which part of the body they see and move."""
+
+    encoder: Encodes
+    policy: Acts
+    observed: NDArray[np.intp]
+    """indices of the world's observation"""
+    driven: NDArray[np.intp]
+    """indices of the world's action"""
+
+
 def walk_legs(
     world: World,
-    encoder_model: Encodes,
-    policy_model: Acts,
+    encoder: Encodes,
+    policy: Acts,
     rng: np.random.Generator,
     legs: int,
     leg_steps: int,
     mode: Literal["sampled", "mean"] = "mean",
 ) -> Legs:
-    """Send all columns from random starts to `legs` vertices, `leg_steps` each, never one twice in a row."""
-    clock = WalkClock(world.columns, encoder_model.latent_dim, leg_steps, rng)
+    """The legs of one block that sees and moves the whole body; see `walk_blocks`."""
+    walker = Walker(encoder, policy, np.arange(world.observation_size), np.arange(world.action_size))
+    return walk_blocks(world, {"": walker}, rng, legs, leg_steps, mode)[""]
+
+
+def walk_blocks(
+    world: World,
+    walkers: Mapping[str, Walker],
+    rng: np.random.Generator,
+    legs: int,
+    leg_steps: int,
+    mode: Literal["sampled", "mean"] = "mean",
+) -> dict[str, Legs]:
+    """Send all columns from random starts to `legs` vertices, `leg_steps` each, never the same twice in a row.
+
+    All blocks walk at once, each to vertices of its own; returns the legs by block.
+    """
+    clocks = {
+        block: WalkClock(world.columns, walker.encoder.latent_dim, leg_steps, rng)
+        for block, walker in walkers.items()
+    }
     observation = world.reset("random")
     start = world.posture()
-    postures, latents, goals = [], [], []
+    ends: dict[str, list[tuple[Floats, NDArray[np.int32]]]] = {block: [] for block in walkers}
+    postures = []
     for _ in range(legs):
-        goals.append(clock.index.astype(np.int32))
-        goal = clock.goal
+        goals = {block: (clock.index.astype(np.int32), clock.goal) for block, clock in clocks.items()}
         for _ in range(leg_steps):
-            action, _ = policy_model.act(encoder_model.latent(observation), goal, rng, mode)
+            action = np.zeros((world.columns, world.action_size), np.float32)
+            for block, walker in walkers.items():
+                latent = walker.encoder.latent(observation[:, walker.observed])
+                action[:, walker.driven], _ = walker.policy.act(latent, goals[block][1], rng, mode)
+                clocks[block].tick()
             observation = world.step(action).observation
-            clock.tick()
         postures.append(world.posture())
-        latents.append(encoder_model.latent(observation))
-    return Legs(np.stack(postures), np.stack(latents), np.stack(goals), start)
+        for block, walker in walkers.items():
+            ends[block].append((walker.encoder.latent(observation[:, walker.observed]), goals[block][0]))
+    return {
+        block: Legs(
+            posture=np.stack(postures),
+            latent=np.stack([latent for latent, _ in reached]),
+            goal=np.stack([goal for _, goal in reached]),
+            start_posture=start,
+        )
+        for block, reached in ends.items()
+    }
 
 
 def _apart(

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from babble.noise import make_noise
 from babble.policy.goals import GoalClock, WalkClock
-from babble.scores import walk_legs
+from babble.scores import Walker, walk_blocks
 from babble.segments import SegmentBuilder
 from protocol.messages import Phase
 from services.actor.config import Body
-from services.actor.models import ModelShelf
+from services.actor.models import Held, ModelShelf
 from services.actor.ways import Floats, PolicyMode, PractiseWay, RandomWay, Record, WalkWay, Way
 from services.runtime.settings import RunSettings
 
@@ -115,11 +115,17 @@ class EvaluationCollector:
     """EVALUATE: legs from random starts in fresh worlds; what is trained on is left where it is."""
 
     def __init__(
-        self, body: Body, shelf: ModelShelf, settings: RunSettings, rng: np.random.Generator
+        self,
+        body: Body,
+        blocks: list[str],
+        shelf: ModelShelf,
+        settings: RunSettings,
+        rng: np.random.Generator,
     ) -> None:
         self.env_steps = 0
         self.mode: PolicyMode = "mean"
         self._body = body
+        self._blocks = blocks
         self._shelf = shelf
         self._settings = settings.evaluation
         self._rng = rng
@@ -130,42 +136,40 @@ class EvaluationCollector:
         return True
 
     def advance(self, steps: int) -> list[Finished]:
-        """All legs of one set of fresh columns, scored for each block on its own."""
-        finished = []
-        for block in self._body.tree.level(0):
-            held = self._shelf.of(block.name)
-            if held.encoder is None or held.policy is None or self.mode == "random":
-                raise RuntimeError(f"block {block.name} was evaluated before it held an encoder and a policy")
-            legs = walk_legs(
-                self._body.world,
-                held.encoder,
-                held.policy,
-                self._rng,
-                legs=self._settings.legs,
-                leg_steps=self._settings.leg_steps,
-                mode=self.mode,
-            )
-            arrays: Record = {
-                "posture": legs.posture,
-                "latent": legs.latent,
-                "goal": legs.goal.astype(np.int32),
-            }
-            steps_done = self._settings.legs * self._settings.leg_steps
-            self.env_steps += steps_done * self._body.world.columns
-            finished.append(
-                Finished(
-                    block=block.name,
-                    arrays=arrays,
-                    policy=self.mode,
-                    encoder_version=held.encoder_version,
-                    policy_version=held.policy_version,
-                    steps=steps_done,
-                    columns=self._body.world.columns,
-                    first_step=self._done * steps_done,
-                )
-            )
+        """All legs of one set of fresh columns, all blocks at once."""
+        if self.mode == "random":
+            raise RuntimeError("an evaluation acts by the policy, never at random")
+        world, settings = self._body.world, self._settings
+        held = {block: self._shelf.of(block) for block in self._blocks}
+        walkers = {block: self._walker(block, models) for block, models in held.items()}
+        walked = walk_blocks(world, walkers, self._rng, settings.legs, settings.leg_steps, self.mode)
+        steps_done = settings.legs * settings.leg_steps
+        self.env_steps += steps_done * world.columns
         self._done += 1
-        return finished
+        return [
+            Finished(
+                block=block,
+                arrays={
+                    "start_posture": np.asarray(legs.start_posture),
+                    "posture": legs.posture,
+                    "latent": legs.latent,
+                    "goal": legs.goal,
+                },
+                policy=self.mode,
+                encoder_version=held[block].encoder_version,
+                policy_version=held[block].policy_version,
+                steps=steps_done,
+                columns=world.columns,
+                first_step=(self._done - 1) * steps_done,
+            )
+            for block, legs in walked.items()
+        ]
+
+    def _walker(self, block: str, held: Held) -> Walker:
+        if held.encoder is None or held.policy is None:
+            raise RuntimeError(f"block {block} was evaluated before it held an encoder and a policy")
+        tree = self._body.tree
+        return Walker(held.encoder, held.policy, tree.observed(block), tree.driven(block))
 
 
 def ways_of(

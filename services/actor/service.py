@@ -115,11 +115,11 @@ class Actor:
 
     def _new_collector(self, announced: PhaseAnnounced) -> Collector | None:
         settings = self._context.settings
+        blocks = sorted(announced.blocks)
         if announced.phase is Phase.EVALUATE:
-            return EvaluationCollector(self._fresh_body, self._shelf, settings, self._evaluation_rng)
+            return EvaluationCollector(self._fresh_body, blocks, self._shelf, settings, self._evaluation_rng)
         if announced.phase not in CONSUMER_OF:
             return None
-        blocks = sorted(announced.blocks)
         ways = ways_of(announced.phase, self._body, blocks, self._shelf, settings, self._rng)
         return SegmentCollector(
             self._body,

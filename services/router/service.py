@@ -1,5 +1,6 @@
 """The router's life: open, say so, wait for a signal, close."""
 
+import contextlib
 import signal
 
 from services.router.config import RouterConfig
@@ -16,7 +17,8 @@ def serve(config: RouterConfig) -> None:
     signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
     router = open_router(config.listen)
     try:
-        print(f"router: ready at {config.listen}", flush=True)
+        with contextlib.suppress(BrokenPipeError):
+            print(f"router: ready at {config.listen}", flush=True)
         signal.sigwait(STOP_SIGNALS)
     finally:
         router.close()

@@ -49,9 +49,10 @@ class Allotment:
             sender.granted = sender.upto
             sender.granted_in_term = 0
 
-    def appeared(self, life: str, now_secs: float) -> None:
-        """A sender is there (again)."""
-        sender = self._senders.setdefault(life, _Sender(columns=self._guess))
+    def appeared(self, life: str, upto: int, now_secs: float) -> None:
+        """A sender is there (again), of whom all segments below `upto` are held."""
+        sender = self._senders.setdefault(life, _Sender(columns=self._guess, present=False))
+        sender.upto = max(sender.upto, upto)
         if not sender.present:
             sender.present = True
             sender.granted = sender.upto
@@ -64,10 +65,8 @@ class Allotment:
 
     def received(self, life: str, upto: int, columns: int, now_secs: float) -> None:
         """All segments of `life` below `upto` are held; its segments have `columns` columns."""
-        self.appeared(life, now_secs)
-        sender = self._senders[life]
-        sender.upto = max(sender.upto, upto)
-        sender.columns = columns
+        self.appeared(life, upto, now_secs)
+        self._senders[life].columns = columns
 
     def grant(self, now_secs: float) -> dict[str, int]:
         """Share out what is wanted and not under way; returns {life: granted} for all present."""

@@ -187,9 +187,9 @@ class Learner:
 
     def _note_members(self, now_secs: float) -> None:
         present = self._intake.present
-        for allotment in self._allotments.values():
+        for block, allotment in self._allotments.items():
             for life in present - self._known:
-                allotment.appeared(life, now_secs)
+                allotment.appeared(life, self._intake.ledger.upto(life, block), now_secs)
             for life in self._known - present:
                 allotment.vanished(life)
         self._known = set(present)

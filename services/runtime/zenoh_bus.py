@@ -11,6 +11,7 @@ import logging
 import os
 import threading
 import time
+import weakref
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -38,6 +39,7 @@ HEARTBEAT_SECS = 0.5
 ATTEMPT_SECS = 1.0
 """One attempt to connect; a signal is heard between attempts."""
 CLOSE_SECS = 3.0
+ROUTER_CLOSE_SECS = 0.5
 MAX_PUBLISHERS = 512
 """Declared publishers that are kept for reuse; the oldest that retains nothing goes first."""
 
@@ -50,6 +52,11 @@ PRIORITIES = {
     "background": zenoh.Priority.BACKGROUND,
 }
 CONGESTION = {"block": zenoh.CongestionControl.BLOCK, "drop": zenoh.CongestionControl.DROP}
+
+
+_open_buses: weakref.WeakSet["ZenohBus"] = weakref.WeakSet()
+_guard_lock = threading.Lock()
+_guard: threading.Thread | None = None
 
 
 class _Undeclarable(Protocol):
@@ -75,6 +82,7 @@ class ZenohBus:
         self._declared: list[_Undeclarable] = []
         self._sessions: dict[str, zenoh.Session] = {}
         deadline = time.monotonic() + connect_secs
+        _close_with_main_thread(self)
         try:
             for link in self._up:
                 session = _connect(endpoint, deadline, connect_secs)
@@ -231,10 +239,26 @@ class Router:
         self._session = session
 
     def close(self) -> None:
-        """Leave all clients; returns within CLOSE_SECS."""
+        """Leave all clients, without waiting for a stuck one longer than ROUTER_CLOSE_SECS."""
         closer = threading.Thread(target=self._session.close, name="router-close", daemon=True)
         closer.start()
-        closer.join(CLOSE_SECS)
+        closer.join(ROUTER_CLOSE_SECS)
+
+
+def _close_with_main_thread(bus: ZenohBus) -> None:
+    """Close a forgotten bus when the main thread ends; zenoh's callback threads would keep the process for ever."""
+    global _guard
+    with _guard_lock:
+        _open_buses.add(bus)
+        if _guard is None:
+            _guard = threading.Thread(target=_close_forgotten, name="bus-guard", daemon=True)
+            _guard.start()
+
+
+def _close_forgotten() -> None:
+    threading.main_thread().join()
+    for bus in list(_open_buses):
+        bus.close()
 
 
 def open_router(endpoint: str) -> Router:

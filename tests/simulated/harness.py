@@ -3,17 +3,20 @@
 A seeded run repeats bit for bit. Services crash and start when the test says so.
 """
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from services.actor.service import build as build_actor
 from services.coordinator.service import CoordinatorService as build_coordinator
 from services.encoder_learner.service import build as build_encoder_learner
 from services.policy_learner.service import build as build_policy_learner
 from services.runtime.bus import Bus, Wakeup
+from services.runtime.checkpoint import Checkpoints
 from services.runtime.clock import HandClock
-from services.runtime.memory_bus import Faults, MemoryBus
+from services.runtime.memory_bus import MemoryBus
 from services.runtime.process import Context, Service
 from services.runtime.settings import RunSettings
 
@@ -89,7 +92,15 @@ class Simulation:
                 self.ended.append(life)
         self.clock.advance(TURN_SECS)
 
-    def until(self, condition: Callable[[], bool], rounds: int = 200_000) -> None:
+    def book(self, learner: str) -> dict[str, Any]:
+        """What a learner's newest checkpoint says of the experience it took."""
+        found = Checkpoints(self.run_dir / "checkpoints" / learner).newest()
+        assert found is not None
+        assert isinstance(found[1], dict)
+        book: dict[str, Any] = json.loads(found[1]["book"])
+        return book
+
+    def until(self, condition: Callable[[], bool], rounds: int = 20_000) -> None:
         """Go on until the condition holds. Raises AssertionError after so many rounds."""
         for _ in range(rounds):
             if condition():
@@ -100,6 +111,3 @@ class Simulation:
     def until_all_ended(self) -> None:
         """Go on until every service has ended by itself."""
         self.until(lambda: not self.running)
-
-
-__all__ = ["Faults", "Simulation"]

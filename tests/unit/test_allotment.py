@@ -12,8 +12,8 @@ def fresh(window: int = 4) -> Allotment:
 
 def test_two_actors_share_a_rollout_evenly() -> None:
     allotment = fresh()
-    allotment.appeared("a", 0.0)
-    allotment.appeared("b", 0.0)
+    allotment.appeared("a", 0, 0.0)
+    allotment.appeared("b", 0, 0.0)
     allotment.want(16)
     assert allotment.grant(0.0) == {"a": 1, "b": 1}
     assert allotment.grant(0.1) == {"a": 1, "b": 1}, "asking again grants nothing new"
@@ -21,14 +21,14 @@ def test_two_actors_share_a_rollout_evenly() -> None:
 
 def test_one_actor_alone_gets_the_whole_demand() -> None:
     allotment = fresh()
-    allotment.appeared("a", 0.0)
+    allotment.appeared("a", 0, 0.0)
     allotment.want(16)
     assert allotment.grant(0.0) == {"a": 2}
 
 
 def test_the_window_bounds_what_one_actor_owes() -> None:
     allotment = fresh(window=3)
-    allotment.appeared("a", 0.0)
+    allotment.appeared("a", 0, 0.0)
     allotment.want(1000)
     assert allotment.grant(0.0) == {"a": 3}
     allotment.received("a", upto=1, columns=8, now_secs=0.5)
@@ -38,7 +38,7 @@ def test_the_window_bounds_what_one_actor_owes() -> None:
 def test_what_a_vanished_actor_owes_is_granted_to_the_others() -> None:
     allotment = fresh()
     for life in ("a", "b"):
-        allotment.appeared(life, 0.0)
+        allotment.appeared(life, 0, 0.0)
     allotment.want(16)
     allotment.grant(0.0)
     allotment.vanished("b")
@@ -48,7 +48,7 @@ def test_what_a_vanished_actor_owes_is_granted_to_the_others() -> None:
 def test_what_a_stuck_actor_owes_is_granted_anew_after_the_patience() -> None:
     allotment = fresh()
     for life in ("a", "b"):
-        allotment.appeared(life, 0.0)
+        allotment.appeared(life, 0, 0.0)
     allotment.want(16)
     allotment.grant(0.0)
     allotment.received("a", upto=1, columns=8, now_secs=1.0)
@@ -58,9 +58,16 @@ def test_what_a_stuck_actor_owes_is_granted_anew_after_the_patience() -> None:
     assert allotment.overdue(10.5) == ["b"]
 
 
+def test_a_learner_that_comes_back_grants_beyond_what_it_holds_already() -> None:
+    allotment = fresh()
+    allotment.appeared("a", 7, 0.0)
+    allotment.want(8)
+    assert allotment.grant(0.0) == {"a": 8}
+
+
 def test_a_new_term_takes_back_what_was_granted() -> None:
     allotment = fresh()
-    allotment.appeared("a", 0.0)
+    allotment.appeared("a", 0, 0.0)
     allotment.want(32)
     allotment.grant(0.0)
     allotment.new_term()

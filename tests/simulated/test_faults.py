@@ -1,0 +1,109 @@
+"""Lost, doubled and reordered frames, crashes and late comers: the run ends and nothing counts twice."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from services.runtime.memory_bus import Faults, MemoryBus
+from services.runtime.settings import RunSettings
+from tests.simulated.harness import Simulation
+
+Simulate = Callable[..., Simulation]
+
+PHASES = ["babble", "encode", "ground", "evaluate", "walk", "refine", "practise"]
+
+
+def phase_of(run_dir: Path) -> str:
+    """The phase that was announced last; empty before the first."""
+    if not (run_dir / "events.jsonl").exists():
+        return ""
+    events = [json.loads(line) for line in (run_dir / "events.jsonl").read_text().splitlines()]
+    return [event["text"].split()[0] for event in events if event["what"] == "phase"][-1]
+
+
+def assert_complete_and_exact(simulation: Simulation) -> None:
+    """The run is done, and each learner took exactly the numbered segments of each stream, once."""
+    assert phase_of(simulation.run_dir) == "done"
+    for learner in ("encoder_learner", "policy_learner"):
+        book = simulation.book(learner)
+        taken = sum(upto for _, _, upto, _ in book["ledger"]["streams"])
+        assert book["received"] == taken == book["ledger"]["counts"]["new"]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_bad_link_slows_a_run_and_changes_nothing_else(
+    tiny: RunSettings, simulate: Simulate, seed: int
+) -> None:
+    simulation = simulate(tiny, hub=MemoryBus(seed=seed))
+    simulation.hub.faults = Faults(
+        drop=0.15, duplicate=0.15, reorder=0.15, kinds=frozenset({"segment", "ack", "status", "phase"})
+    )
+    simulation.start_all(actors=2)
+    simulation.until_all_ended()
+    assert simulation.hub.dropped > 0
+    assert simulation.hub.duplicated > 0
+    assert_complete_and_exact(simulation)
+
+
+@pytest.mark.parametrize("service", ["encoder_learner", "policy_learner", "coordinator", "actor"])
+@pytest.mark.parametrize("phase", PHASES)
+def test_any_service_may_be_killed_in_any_phase_and_be_replaced(
+    tiny: RunSettings, simulate: Simulate, service: str, phase: str
+) -> None:
+    simulation = simulate(tiny)
+    simulation.start_all(actors=2)
+    simulation.until(lambda: phase_of(simulation.run_dir) == phase)
+    for _ in range(3):
+        simulation.round()
+    simulation.crash(f"{service}-0")
+    for _ in range(20):
+        simulation.round()
+    simulation.start(service, f"{service}-reborn")
+    simulation.until_all_ended()
+    assert_complete_and_exact(simulation)
+
+
+@pytest.mark.parametrize("phase", PHASES)
+def test_everything_may_be_killed_at_once_and_resumed(
+    tiny: RunSettings, simulate: Simulate, phase: str
+) -> None:
+    simulation = simulate(tiny)
+    simulation.start_all(actors=2)
+    simulation.until(lambda: phase_of(simulation.run_dir) == phase)
+    simulation.round()
+    for life in list(simulation.running):
+        simulation.crash(life)
+    for service in ("coordinator", "encoder_learner", "policy_learner", "actor"):
+        simulation.start(service, f"{service}-reborn")
+    simulation.until_all_ended()
+    assert_complete_and_exact(simulation)
+
+
+def test_a_run_that_lost_all_actors_goes_on_with_a_late_comer(tiny: RunSettings, simulate: Simulate) -> None:
+    simulation = simulate(tiny)
+    simulation.start_all(actors=1)
+    simulation.until(lambda: phase_of(simulation.run_dir) == "ground")
+    simulation.crash("actor-0")
+    for _ in range(100):
+        simulation.round()
+    assert phase_of(simulation.run_dir) == "ground", "nobody can ground a policy without experience"
+    simulation.start("actor", "actor-late", 1)
+    simulation.until_all_ended()
+    assert_complete_and_exact(simulation)
+
+
+def test_an_actor_cut_off_for_a_while_comes_back_and_nothing_of_it_counts_twice(
+    tiny: RunSettings, simulate: Simulate
+) -> None:
+    simulation = simulate(tiny)
+    simulation.start_all(actors=2)
+    simulation.until(lambda: phase_of(simulation.run_dir) == "ground")
+    simulation.hub.cut("actor-0")
+    for _ in range(150):
+        simulation.round()
+    simulation.hub.mend("actor-0")
+    simulation.until_all_ended()
+    assert "actor-0" in simulation.ended
+    assert_complete_and_exact(simulation)
