@@ -19,10 +19,13 @@ class Body:
     tree: BlockTree
 
 
-def body_of(settings: RunSettings, rng: np.random.Generator) -> Body:
+def body_of(settings: RunSettings, seeds: np.random.SeedSequence) -> Body:
     """`envs_per_actor` copies of the run's world. Raises WorldError or BlockError, each one sentence."""
     world = make(
-        settings.world.id, settings.world.parameters, columns=settings.actors.envs_per_actor, seed=rng
+        settings.world.id,
+        settings.world.parameters,
+        columns=settings.actors.envs_per_actor,
+        seed=seeds.generate_state(4).tolist(),
     )
     return Body(world, BlockTree.of(settings.block, world.observation_size, world.action_size))
 

@@ -35,8 +35,8 @@ class Actor:
         acting, evaluating, worlds, fresh = seeds_of(settings, context.index, context.life).spawn(4)
         self._rng = np.random.default_rng(acting)
         self._evaluation_rng = np.random.default_rng(evaluating)
-        self._body = body_of(settings, np.random.default_rng(worlds))
-        self._fresh_body = body_of(settings, np.random.default_rng(fresh))
+        self._body = body_of(settings, worlds)
+        self._fresh_body = body_of(settings, fresh)
         world = self._body.world
         interface = interface_of(
             settings, observation_size=world.observation_size, action_size=world.action_size

@@ -1,7 +1,7 @@
 """The EVALUATE phase at the learner: legs come in, scores go out; nothing is trained."""
 
 from collections.abc import Mapping
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,9 +51,9 @@ class Evaluation:
 
     def take(self, segment: Segment) -> bool:
         """Add the legs of a segment; False if they are of no use."""
-        if segment.policy not in MODES or (segment.encoder_version, segment.policy_version) != self.versions:
+        mode = segment.policy
+        if mode == "random" or (segment.encoder_version, segment.policy_version) != self.versions:
             return False
-        mode = cast(Mode, segment.policy)
         if self._missing(mode) <= 0 or not all(name in segment.arrays for name in LEG_ARRAYS):
             return False
         self._add(mode, {name: np.array(segment.arrays[name]) for name in LEG_ARRAYS})

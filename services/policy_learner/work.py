@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from babble.policy.export import export_policy
 from babble.policy.ppo import GoalPPO
@@ -64,7 +65,9 @@ class PolicyWork:
             or not all(name in segment.arrays for name in ROLLOUT_ARRAYS)
         ):
             return False
-        self._hand.add({name: segment.arrays[name] for name in ROLLOUT_ARRAYS}, segment.policy_version)
+        arrays = {name: segment.arrays[name] for name in ROLLOUT_ARRAYS}
+        self._check(segment, arrays)
+        self._hand.add(arrays, segment.policy_version)
         return True
 
     def advance(self) -> bool:
@@ -178,6 +181,20 @@ class PolicyWork:
             self._evaluation = Evaluation.restored(self._config, saved["evaluation"])
         if saved["offered"]:
             self._offer = self._as_offer()
+
+    def _check(self, segment: Segment, arrays: Mapping[str, NDArray[np.generic]]) -> None:
+        """Raises ValueError for arrays that do not fit this block's rollouts."""
+        frame = (self._config.segment_steps, segment.columns)
+        sizes = {
+            "latent": self._config.latent_dim,
+            "next_latent": self._config.latent_dim,
+            "goal": self._config.latent_dim,
+            "action": self._config.action_size,
+        }
+        for name, array in arrays.items():
+            shape = (*frame, sizes[name]) if name in sizes else frame
+            if array.shape != shape or not np.isfinite(array.astype(np.float64)).all():
+                raise ValueError(f"{name} must be finite numbers of shape {shape}, got shape {array.shape}")
 
     def _done(self) -> bool:
         return self._phase in PRACTISES and self._updates_done >= self._config.updates(self._phase)

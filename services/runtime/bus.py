@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from protocol.codec import Reason, Refused
 from protocol.keys import MAX_FRAME_BYTES
+from protocol.refusal import Reason, Refused
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Wakeup:
 
 
 class Inbox:
-    """A bounded queue of arrivals: `put` never blocks; beyond the bounds the oldest is dropped and counted."""
+    """A bounded queue of arrivals: `put` never blocks; beyond the bounds the oldest is dropped, counted."""
 
     def __init__(
         self, wakeup: Wakeup | None = None, *, max_frames: int = 1024, max_bytes: int = 256 << 20
@@ -116,7 +116,10 @@ class Inbox:
 
 
 class Bus(Protocol):
-    """Publish, subscribe, be alive, ask. Keys come from protocol.keys; `kind` names a row of its DELIVERY table."""
+    """Publish, subscribe, be alive, ask.
+
+    Keys come from protocol.keys; `kind` names a row of its DELIVERY table.
+    """
 
     def publish(self, kind: str, key: str, frame: bytes) -> None:
         """Send a frame as the delivery table says for its kind.

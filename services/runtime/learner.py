@@ -6,68 +6,30 @@ run (terms, acknowledgements, checkpoints, status) is here and the same for all 
 
 import json
 import logging
-from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Sequence
+from typing import Any
 
 from protocol import keys
 from protocol.codec import encode
 from protocol.gate import Gate
 from protocol.latest import LatestPhase
-from protocol.messages import Phase, PhaseAnnounced, Progress, Score, Segment
+from protocol.messages import Phase, PhaseAnnounced, Progress, Segment
+from protocol.refusal import Reason, Refused
 from services.runtime.allotment import Allotment
 from services.runtime.bus import Frame, Inbox
 from services.runtime.checkpoint import Checkpoints
-from services.runtime.intake import Intake, Want
-from services.runtime.models import ModelOffer
+from services.runtime.errors import CheckpointError
+from services.runtime.intake import Intake
 from services.runtime.process import Context
 from services.runtime.spool import Spool
 from services.runtime.status import Heart
+from services.runtime.work import Work
 
 log = logging.getLogger(__name__)
 
 IDLE_SECS = 0.1
-
-
-class Work(Protocol):
-    """One block's learning, without wire, clock or disk."""
-
-    block: str
-
-    def begin(self, announced: PhaseAnnounced) -> None:
-        """Start the work of a new term (none, if the phase is another learner's)."""
-
-    def take(self, segment: Segment) -> bool:
-        """Use a segment of this term; False if it is of no use (stale)."""
-
-    def advance(self) -> bool:
-        """Do a bounded quantum of work; False if there is nothing to do now."""
-
-    def wanted_columns(self) -> int:
-        """Columns of experience still wanted in this term."""
-
-    def request(self) -> tuple[Want, int]:
-        """How actors should act for it, and the least policy version to act with."""
-
-    def progress(self) -> Progress | None:
-        """How far it is in this term; None if the term is not its own."""
-
-    def model(self) -> ModelOffer | None:
-        """The newest version, if any."""
-
-    def scores(self) -> Sequence[Score]:
-        """What this term's evaluation found."""
-
-    def metrics(self) -> Mapping[str, float]:
-        """The newest measurements, by name."""
-
-    def totals(self) -> Mapping[str, int]:
-        """Totals since the run began, by name."""
-
-    def state(self) -> bytes:
-        """Everything that a restart needs."""
-
-    def restore(self, state: bytes) -> None:
-        """Become what `state()` described."""
+LONGEST_SPOOL_BYTES = 256 << 20
+"""A spool this long is checkpointed away before its time."""
 
 
 class Learner:
@@ -138,7 +100,8 @@ class Learner:
         self._collect(now_secs)
         busy = self._advance(now_secs)
         self._answer(now_secs)
-        if now_secs - self._checkpointed_secs > self._context.settings.wire.checkpoint_secs:
+        due = now_secs - self._checkpointed_secs > self._context.settings.wire.checkpoint_secs
+        if due or self._spool.size_bytes > LONGEST_SPOOL_BYTES:
             self._checkpoint(now_secs)
         self._heart.poll(now_secs, self._report, urgent=self._urgent)
         self._urgent = False
@@ -182,8 +145,13 @@ class Learner:
     def _use(self, segment: Segment) -> None:
         work = self._works.get(segment.block)
         current = self._announced is not None and segment.term == self._announced.term
-        if work is None or not current or not work.take(segment):
-            self._stale += 1
+        try:
+            used = work is not None and current and work.take(segment)
+        except ValueError as error:
+            sentence = f"segment {segment.seq} of {segment.life} cannot be learned from: {error}"
+            self._gate.refuse(Refused(Reason.BAD_ARRAY, sentence))
+            used = False
+        self._stale += not used
 
     def _note_members(self, now_secs: float) -> None:
         present = self._intake.present
@@ -260,6 +228,10 @@ class Learner:
         if found is None:
             return
         self._generation, payload = found
+        if isinstance(payload, bytes):
+            raise CheckpointError(
+                f"{self._folder} holds checkpoints of another service; give each its own folder"
+            )
         book = json.loads(payload["book"])
         self._intake.ledger.restore(book["ledger"])
         self._received, self._stale = book["received"], book["stale"]

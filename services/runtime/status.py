@@ -8,8 +8,9 @@ from time import process_time
 from typing import Any
 
 from protocol import keys
-from protocol.codec import Reason, encode
+from protocol.codec import encode
 from protocol.messages import ALL_BLOCKS, Phase, Status
+from protocol.refusal import Reason
 from services.runtime.bus import Bus
 
 LONGEST_TEXT = 2000

@@ -246,12 +246,12 @@ class Router:
 
 
 def _close_with_main_thread(bus: ZenohBus) -> None:
-    """Close a forgotten bus when the main thread ends; zenoh's callback threads would keep the process for ever."""
+    """Close a forgotten bus when the main thread ends, or zenoh's threads keep the process for ever."""
     global _guard
     with _guard_lock:
         _open_buses.add(bus)
         if _guard is None:
-            _guard = threading.Thread(target=_close_forgotten, name="bus-guard", daemon=True)
+            _guard = threading.Thread(target=_close_forgotten, name="bus-guard")
             _guard.start()
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from protocol import keys
 from services.actor.service import build as build_actor
 from services.coordinator.service import CoordinatorService as build_coordinator
 from services.encoder_learner.service import build as build_encoder_learner
@@ -19,8 +20,6 @@ from services.runtime.clock import HandClock
 from services.runtime.memory_bus import MemoryBus
 from services.runtime.process import Context, Service
 from services.runtime.settings import RunSettings
-
-from protocol import keys
 
 BUILDERS: dict[str, Callable[[Context], Service]] = {
     "coordinator": build_coordinator,
