@@ -1,0 +1,181 @@
+"""Encoder and policy works: a restart in the middle changes nothing, blending and floors hold."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from babble.blocks import BlockTree
+from babble.policy.act import EncoderModel, PolicyModel
+from protocol.messages import ModelFloor, Phase, PhaseAnnounced, Segment
+from services.encoder_learner import config as encoder_config
+from services.encoder_learner.work import EncoderWork
+from services.policy_learner import config as policy_config
+from services.policy_learner.work import PolicyWork
+from services.runtime.settings import RunSettings, parse
+
+TABLE: dict[str, Any] = {
+    "scenario": "test",
+    "actors": {"envs_per_actor": 4, "segment_steps": 8},
+    "phases": {"babble_steps": 64, "ground_steps": 64, "practise_steps": 32, "walk_steps": 64},
+    "encoder": {"batch": 16, "encode": {"updates": 60}, "refine": {"updates": 30, "window_steps": 3}},
+    "policy": {"rollout_columns": 4, "epochs": 2, "minibatch": 16},
+}
+
+
+def settings_of(**changes: Any) -> RunSettings:
+    return parse(TABLE | changes, origin="test")
+
+
+def announce(
+    phase: Phase, term: int, encoder: int = 0, policy: int = 0, iteration: int = 0
+) -> PhaseAnnounced:
+    return PhaseAnnounced(
+        run="r", term=term, block="all", life="c", seq=0, phase=phase,
+        evaluates=Phase.GROUND if phase is Phase.EVALUATE else None,
+        blocks={"body": ModelFloor(encoder=encoder)},
+    )  # fmt: skip
+
+
+def segment(phase: Phase, seq: int, rng: np.random.Generator, **header: Any) -> Segment:
+    steps, columns = 8, 4
+    if phase in (Phase.BABBLE, Phase.WALK):
+        walk = np.cumsum(rng.normal(size=(steps, columns, 3)), axis=0).astype(np.float32)
+        arrays = {"observation": walk, "episode": np.zeros((steps, columns), np.int32)}
+    else:
+        z = rng.dirichlet([1, 1], (steps, columns)).astype(np.float32)
+        arrays = {
+            "latent": z,
+            "next_latent": np.roll(z, -1, axis=0),
+            "goal": np.eye(2, dtype=np.float32)[rng.integers(0, 2, (steps, columns))],
+            "action": rng.normal(size=(steps, columns, 3)).astype(np.float32),
+            "log_prob": rng.normal(size=(steps, columns)).astype(np.float32),
+            "truncated": np.zeros((steps, columns), np.uint8),
+            "terminated": np.zeros((steps, columns), np.uint8),
+        }
+    consumer = "encoder_learner" if "observation" in arrays else "policy_learner"
+    fields: dict[str, Any] = {"encoder_version": 1, "policy_version": 1, "policy": "sampled"} | header
+    return Segment(
+        run="r", term=1, block="body", life="actor-1", seq=seq, consumer=consumer, fingerprint="0" * 16,
+        phase=phase, steps=steps, columns=columns, first_step=0, arrays=arrays, **fields,
+    )  # fmt: skip
+
+
+def new_encoder_work(settings: RunSettings) -> EncoderWork:
+    tree = BlockTree.of(settings.block, 3, 3)
+    return EncoderWork(encoder_config.work_config(settings, tree, "body", 0))
+
+
+def new_policy_work(settings: RunSettings) -> PolicyWork:
+    tree = BlockTree.of(settings.block, 3, 3)
+    return PolicyWork(
+        policy_config.work_config(settings, tree, "body", 0, run="r", diameter=2.0, crossing_axis=None)
+    )
+
+
+def babbled(settings: RunSettings) -> EncoderWork:
+    work, rng = new_encoder_work(settings), np.random.default_rng(0)
+    work.begin(announce(Phase.BABBLE, 1))
+    for seq in range(2):
+        assert work.take(segment(Phase.BABBLE, seq, rng, policy="random"))
+    assert work.wanted_columns() == 0
+    return work
+
+
+def finish(work: EncoderWork | PolicyWork) -> None:
+    while work.advance():
+        pass
+
+
+def test_an_encoder_restarted_in_the_middle_of_a_fit_ends_with_the_same_model() -> None:
+    straight = babbled(settings_of())
+    straight.begin(announce(Phase.ENCODE, 2))
+    straight.advance()
+    restarted = new_encoder_work(settings_of())
+    restarted.restore(straight.state())
+    finish(straight)
+    finish(restarted)
+    one, other = straight.model(), restarted.model()
+    assert one is not None
+    assert one == other
+    assert one.version == 1
+
+
+def test_blending_lands_between_the_old_and_the_new_encoder() -> None:
+    answers = {}
+    points = np.random.default_rng(5).normal(size=(50, 3)).astype(np.float32)
+    for blend in (1.0, 0.25):
+        work = babbled(settings_of(encoder=TABLE["encoder"] | {"blend": blend}))
+        work.begin(announce(Phase.ENCODE, 2))
+        finish(work)
+        first = work.model()
+        work.begin(announce(Phase.REFINE, 3))
+        finish(work)
+        second = work.model()
+        assert first is not None
+        assert second is not None
+        answers[blend] = [EncoderModel(offer.onnx).latent(points) for offer in (first, second)]
+    old, new = answers[1.0]
+    same_old, blended = answers[0.25]
+    np.testing.assert_array_equal(old, same_old)
+    assert 0 < np.abs(blended - old).mean() < np.abs(new - old).mean()
+
+
+def test_an_encoder_of_no_updates_is_published_untrained_for_the_control() -> None:
+    work = babbled(settings_of(encoder=TABLE["encoder"] | {"encode": {"updates": 0}}))
+    work.begin(announce(Phase.ENCODE, 2))
+    finish(work)
+    progress = work.progress()
+    assert work.model() is not None
+    assert progress is not None
+    assert progress.done == progress.wanted
+
+
+def grounded() -> PolicyWork:
+    work = new_policy_work(settings_of())
+    work.begin(announce(Phase.GROUND, 3, encoder=1))
+    return work
+
+
+def test_each_update_is_a_version_and_the_last_one_is_kept() -> None:
+    work, rng = grounded(), np.random.default_rng(1)
+    kept = []
+    for seq in range(2):
+        version = work.model()
+        assert version is not None
+        assert work.wanted_columns() == 4
+        assert work.take(segment(Phase.GROUND, seq, rng, policy_version=version.version))
+        finish(work)
+        offer = work.model()
+        assert offer is not None
+        kept.append((offer.version, offer.keep))
+    assert kept == [(2, False), (3, True)]
+    assert work.wanted_columns() == 0
+    assert not work.take(segment(Phase.GROUND, 2, rng)), "the phase has had its steps"
+
+
+def test_a_policy_restarted_with_columns_in_hand_ends_with_the_same_model() -> None:
+    straight, rng = grounded(), np.random.default_rng(1)
+    straight.take(segment(Phase.GROUND, 0, rng))
+    restarted = new_policy_work(settings_of())
+    restarted.restore(straight.state())
+    finish(straight)
+    finish(restarted)
+    one, other = straight.model(), restarted.model()
+    assert one is not None
+    assert one == other
+    z = np.array([[0.3, 0.7]], np.float32)
+    fresh = PolicyModel(grounded().model().onnx)  # type: ignore[union-attr]
+    assert np.abs(PolicyModel(one.onnx).distribution(z, z)[0] - fresh.distribution(z, z)[0]).max() > 0
+
+
+def test_experience_of_another_encoder_is_not_used() -> None:
+    assert not grounded().take(segment(Phase.GROUND, 0, np.random.default_rng(1), encoder_version=2))
+
+
+@pytest.mark.parametrize("spoilt", ["latent", "action", "log_prob"])
+def test_experience_that_is_not_a_number_is_refused_by_name(spoilt: str) -> None:
+    bad = segment(Phase.GROUND, 0, np.random.default_rng(1))
+    bad.arrays[spoilt][0] = np.nan
+    with pytest.raises(ValueError, match=spoilt):
+        grounded().take(bad)
