@@ -62,13 +62,9 @@ def body() -> Body:
     return body_of(SETTINGS, np.random.SeedSequence(0))
 
 
-def collector_of(
-    phase: Phase, body: Body, shelf: ModelShelf, settings: RunSettings = SETTINGS
-) -> SegmentCollector:
-    ways = ways_of(phase, body, ["body"], shelf, settings, np.random.default_rng(1))
-    return SegmentCollector(
-        body, ways, segment_steps=settings.actors.segment_steps, observation=body.world.reset()
-    )
+def collector_of(phase: Phase, body: Body, shelf: ModelShelf) -> SegmentCollector:
+    ways = ways_of(phase, body, ["body"], shelf, SETTINGS, np.random.default_rng(1))
+    return SegmentCollector(body, ways, segment_steps=12, observation=body.world.reset())
 
 
 def test_babbling_records_where_the_body_was_before_each_step(body: Body, shelf: Shelf) -> None:
