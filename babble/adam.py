@@ -32,28 +32,25 @@ class Adam:
         for param in self._params:
             param.grad = None
 
-    @torch.no_grad()
     def step(self) -> None:
         """Move the parameters along their gradients. Raises RuntimeError where one has none."""
         if any(param.grad is None for param in self._params):
-            raise RuntimeError(
-                "a parameter has no gradient; call backward on a loss that depends on all of them"
-            )
+            raise RuntimeError("a parameter has no gradient; call backward on a loss that needs them all")
         self._steps += 1
         rate = self.param_groups[0]["lr"] / (1 - BETA_MEAN**self._steps)
         correction = (1 - BETA_SQUARE**self._steps) ** 0.5
-        for param, mean, square in zip(self._params, self._means, self._squares, strict=True):
-            grad = param.grad
-            mean.lerp_(grad, 1 - BETA_MEAN)
-            square.mul_(BETA_SQUARE).addcmul_(grad, grad, value=1 - BETA_SQUARE)
-            param.addcdiv_(mean, square.sqrt().div_(correction).add_(self._eps), value=-rate)
+        with torch.no_grad():
+            for param, mean, square in zip(self._params, self._means, self._squares, strict=True):
+                mean.lerp_(param.grad, 1 - BETA_MEAN)
+                square.mul_(BETA_SQUARE).addcmul_(param.grad, param.grad, value=1 - BETA_SQUARE)
+                param.addcdiv_(mean, square.sqrt().div_(correction).add_(self._eps), value=-rate)
 
     def state_dict(self) -> dict[str, Any]:
         """The moments and the step count; not the learning rate, which is a setting."""
         return {"steps": self._steps, "means": self._means, "squares": self._squares}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Take over copies of the moments and the step count. Raises ValueError for other parameters' moments."""
+        """Take over copies of the moments and the count. Raises ValueError for other parameters' moments."""
         shapes = [param.shape for param in self._params]
         if any([moment.shape for moment in state[name]] != shapes for name in ("means", "squares")):
             raise ValueError("the optimiser's state belongs to other parameters")

@@ -138,7 +138,7 @@ def walk_blocks(
     leg_steps: int,
     mode: Literal["sampled", "mean"] = "mean",
 ) -> dict[str, Legs]:
-    """Send all columns from random starts to `legs` vertices, `leg_steps` each, never the same twice in a row.
+    """Send all columns from random starts to `legs` vertices, `leg_steps` each, never one twice in a row.
 
     All blocks walk at once, each to vertices of its own; returns the legs by block.
     """

@@ -36,7 +36,7 @@ METRICS = {
 
 
 class GoalPPO:
-    """A policy over actions in [-1, 1]^a that sees [z, g] (eq. 11), trained on rollouts of `steps` x `columns`.
+    """A policy over actions in [-1, 1]^a that sees [z, g] (eq. 11), trained on whole rollouts.
 
     Two separate tanh networks and a log deviation that no state changes. Keywords are the fields of
     `PPOSettings`. Sets torch to one thread; uses no global random numbers.
@@ -47,6 +47,8 @@ class GoalPPO:
         self.latent_dim = latent_dim
         self.action_size = action_size
         self.settings = PPOSettings(**settings)
+        self.steps = self.settings.steps
+        self.columns = self.settings.columns
         self.updates = 0
         """rollouts trained on so far"""
         self._rng = np.random.default_rng(self.settings.seed)
@@ -79,7 +81,7 @@ class GoalPPO:
         return np.asarray(values.numpy().reshape(pairs.shape[:-1]))
 
     def distribution(self, z: NDArray[Any], g: NDArray[Any]) -> tuple[Floats, Floats]:
-        """The mean (B, a) and log standard deviation (a,) of the action; the exported model must give the same."""
+        """The mean (B, a) and log deviation (a,) of the action; the exported model must give the same."""
         with torch.no_grad():
             features = self._ppo.policy.mlp_extractor.forward_actor(torch.from_numpy(_beside(z, g)))
             mean = self._ppo.policy.action_net(features)

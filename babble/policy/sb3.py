@@ -45,7 +45,7 @@ class PPOSettings:
 
 
 def build_ppo(latent_dim: int, action_size: int, settings: PPOSettings, rng: np.random.Generator) -> PPO:
-    """PPO that sees [z, g] and acts in [-1, 1]^a; `rng` draws its minibatches, `settings.seed` its first weights.
+    """PPO that sees [z, g] and acts in [-1, 1]^a; `rng` draws minibatches, `settings.seed` first weights.
 
     Its environment is never made: the spaces are set where SB3 sets them when it loads a model.
     """
@@ -80,6 +80,8 @@ def build_ppo(latent_dim: int, action_size: int, settings: PPOSettings, rng: np.
 
 class SeededRolloutBuffer(RolloutBuffer):
     """SB3's rollout buffer, which draws its minibatches from `rng` instead of NumPy's global generator."""
+
+    generator_ready: bool
 
     def __init__(self, *args: Any, rng: np.random.Generator, **kwargs: Any) -> None:
         self._rng = rng
