@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from babble import rng_state
-from babble.adam import Adam
 from babble.encoder.cltt import Similarity, alignment, info_nce, similarities, uniformity
 from babble.encoder.network import Encoder
 from babble.memory import ExperienceMemory
@@ -128,8 +127,8 @@ class EncoderTrainer:
         rng_state.load(self._rng, state["rng"])
         self._fit = _Fit(**state["fit"]) if state["fit"] else None
 
-    def _fresh_optimiser(self) -> Adam:
-        return Adam(self.encoder.parameters(), lr=self._learning_rate)
+    def _fresh_optimiser(self) -> torch.optim.Adam:
+        return torch.optim.Adam(self.encoder.parameters(), lr=self._learning_rate)
 
     def _under_way(self) -> _Fit:
         if self._fit is None:

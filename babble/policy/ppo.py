@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from torch import nn
 
 from babble import rng_state
-from babble.adam import Adam
 from babble.onnx_model import Layer, PolicyWeights
 from babble.policy.goals import reward
 from babble.policy.sb3 import ADAM_EPSILON, PPOSettings, build_ppo
@@ -90,7 +89,9 @@ class GoalPPO:
     def reset_optimiser(self) -> None:
         """Forget the optimiser's moments, keep the weights (start of each PRACTISE)."""
         policy = self._ppo.policy
-        policy.optimizer = Adam(policy.parameters(), lr=self.settings.learning_rate, eps=ADAM_EPSILON)
+        policy.optimizer = torch.optim.Adam(
+            policy.parameters(), lr=self.settings.learning_rate, eps=ADAM_EPSILON
+        )
 
     def export_weights(self) -> PolicyWeights:
         """The acting part as plain arrays (copies)."""

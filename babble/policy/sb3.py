@@ -13,7 +13,6 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.type_aliases import RolloutBufferSamples
 from torch import nn
 
-from babble.adam import Adam
 from babble.policy.goals import RewardForm
 
 ADAM_EPSILON = 1e-5
@@ -104,6 +103,5 @@ def _networks(settings: PPOSettings) -> dict[str, Any]:
         "net_arch": {"pi": list(settings.hidden), "vf": list(settings.hidden)},
         "activation_fn": nn.Tanh,
         "log_std_init": settings.log_std,
-        "optimizer_class": Adam,
         "optimizer_kwargs": {"eps": ADAM_EPSILON},
     }

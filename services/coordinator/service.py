@@ -18,7 +18,7 @@ from services.coordinator.machine import announcement, best_of, decide
 from services.coordinator.report import describe, witnesses
 from services.coordinator.run_files import RunFiles
 from services.coordinator.state import State, present
-from services.coordinator.translate import announced, not_a_number, status_reported
+from services.coordinator.translate import announced, status_reported
 from services.coordinator.waiting import phase_name, waiting
 from services.coordinator.words import (
     Announce,
@@ -87,7 +87,7 @@ class CoordinatorService:
         self._announcements = self._replies = 0
         self._done_secs: float | None = None
         self._unlinked_secs = float("-inf")
-        self._stall = self._bad_score = ""
+        self._stall = ""
         self._listen()
 
     def poll(self, now_secs: float) -> float | None:
@@ -161,7 +161,6 @@ class CoordinatorService:
                 return
             status = self._gate.admit(arrival.key, arrival.data) if isinstance(arrival, Frame) else None
             if isinstance(status, Status) and status.life != self._life:
-                self._bad_score = not_a_number(status) or self._bad_score
                 if status.life in self._state.members:
                     self._heard[status.life] = status
                 self._decide(status_reported(now_secs, status))
@@ -173,7 +172,7 @@ class CoordinatorService:
             self._journal.append(event)
             self._state = after
             if not isinstance(event, Started):
-                self._note_members(before, after, event.now)
+                self._note_changes(before, after, event.now)
         for order in orders:
             self._carry_out(order, event.now)
 
@@ -206,7 +205,9 @@ class CoordinatorService:
         self._announcements += 1
         self._announced_secs = now_secs
 
-    def _note_members(self, before: State, after: State, now_secs: float) -> None:
+    def _note_changes(self, before: State, after: State, now_secs: float) -> None:
+        if before.link is not after.link:
+            self._files.note(now_secs, "link", f"the coordinator's own link is {after.link.value}")
         old, new = present(before), present(after)
         for life in sorted(new.keys() - old.keys()):
             self._files.note(now_secs, "joined", f"{life} ({new[life]}) joined")
@@ -271,5 +272,5 @@ class CoordinatorService:
             "refused": dict(sum((Counter(gate.refused) for gate in gates), Counter[str]())),
             "queue_depth": len(self._statuses) + len(self._control),
             "waiting_for": waiting(self._plan, self._state),
-            "last_error": stall or self._bad_score or refusal,
+            "last_error": stall or refusal,
         }

@@ -1,7 +1,5 @@
 """Between the wire's messages and the machine's words (pure)."""
 
-from math import isfinite
-
 from protocol import messages
 from services.coordinator.state import Plan
 from services.coordinator.table import Phase
@@ -12,7 +10,7 @@ LONGEST_REASON = 300
 
 
 def status_reported(now_secs: float, status: messages.Status) -> StatusReported:
-    """What the machine hears of a status; scores that are not numbers are left out, see `not_a_number`."""
+    """What the machine hears of a status."""
     return StatusReported(
         now=now_secs,
         service=status.service,
@@ -25,20 +23,9 @@ def status_reported(now_secs: float, status: messages.Status) -> StatusReported:
             )
             for said in status.progress
         ),
-        scores=tuple(_row(score) for score in status.scores if _is_finite(score)),
+        scores=tuple(map(_row, status.scores)),
         waiting_for=status.waiting_for[:LONGEST_REASON],
     )
-
-
-def not_a_number(status: messages.Status) -> str:
-    """A sentence on the first score that is not a number; empty if there is none."""
-    for score in status.scores:
-        if not _is_finite(score):
-            return (
-                f"{status.life} reported a score of {score.block}, iteration {score.iteration}, that is "
-                "not a number, and it was left out; look at that block's figures for a collapse"
-            )
-    return ""
 
 
 def announced(order: Announce, *, plan: Plan, run: str, life: str, seq: int) -> messages.PhaseAnnounced:
@@ -59,11 +46,6 @@ def announced(order: Announce, *, plan: Plan, run: str, life: str, seq: int) -> 
             for block, (encoder, policy) in order.floors.items()
         },
     )
-
-
-def _is_finite(score: messages.Score) -> bool:
-    figures = (score.separation, score.separation_worst, score.z_min, score.z_goal, score.switch_success)
-    return all(isfinite(figure) for figure in (*figures, score.crossing or 0.0))
 
 
 def _row(score: messages.Score) -> ScoreRow:

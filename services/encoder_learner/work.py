@@ -4,9 +4,7 @@ import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from babble.encoder.export import export_encoder
 from babble.encoder.network import Encoder
@@ -28,7 +26,9 @@ class EncoderWork:
         self.block = config.block
         self._config = config
         self._memory = ExperienceMemory()
-        self._trainer: EncoderTrainer | None = None
+        # Made at once: the first optimiser of a process costs torch 5 s, which pass while actors babble.
+        self._trainer = _new_trainer(config)
+        self._scaled = False
         self._phase: Phase | None = None
         self._version = 0
         self._updates_done = 0
@@ -46,8 +46,9 @@ class EncoderWork:
             fit = self._config.fit(announced.phase)
             self._updates_done = 0
             self._fitted = False
-            if self._trainer is None:
-                self._trainer = self._new_trainer(*self._memory.scaling())
+            if not self._scaled:
+                self._trainer.encoder.normalise(*self._memory.scaling())
+                self._scaled = True
             self._trainer.begin_fit(window_steps=fit.window_steps, temperature=fit.temperature)
 
     def take(self, segment: Segment) -> bool:
@@ -59,7 +60,7 @@ class EncoderWork:
 
     def advance(self) -> bool:
         """A few updates of the encoder, if this is a fit and not done."""
-        if self._phase not in FITS or self._trainer is None:
+        if self._phase not in FITS:
             return False
         wanted = self._config.fit(self._phase).updates
         count = min(UPDATES_PER_QUANTUM, wanted - self._updates_done)
@@ -73,7 +74,7 @@ class EncoderWork:
         if self._updates_done < wanted:
             return True
         if not self._fitted:
-            self._end_fit(self._trainer, self._phase)
+            self._end_fit(self._phase)
         return False
 
     def wanted_columns(self) -> int:
@@ -130,7 +131,8 @@ class EncoderWork:
                 "updates_total": self._updates_total,
                 "fitted": self._fitted,
                 "memory": {name: torch.from_numpy(array) for name, array in self._memory.state().items()},
-                "trainer": None if self._trainer is None else self._trainer.state(),
+                "scaled": self._scaled,
+                "trainer": self._trainer.state(),
                 "onnx": None if self._offer is None else self._offer.onnx,
             },
             buffer,
@@ -146,39 +148,35 @@ class EncoderWork:
         self._updates_total = saved["updates_total"]
         self._fitted = saved["fitted"]
         self._memory.restore({name: tensor.numpy() for name, tensor in saved["memory"].items()})
-        if saved["trainer"] is not None:
-            # The scaling is part of the saved weights; the memory it came from may be gone.
-            self._trainer = self._new_trainer(np.zeros(self._config.observation_size, np.float32), 1.0)
-            self._trainer.restore(saved["trainer"])
+        self._scaled = saved["scaled"]
+        self._trainer.restore(saved["trainer"])
         if saved["onnx"] is not None:
             self._offer = self._as_offer(saved["onnx"])
 
-    def _end_fit(self, trainer: EncoderTrainer, phase: Phase) -> None:
+    def _end_fit(self, phase: Phase) -> None:
         """Blend (eq. 13; the first fit has nothing to blend with) and make the next version."""
-        trainer.end_fit(blend=1.0 if phase is Phase.ENCODE else self._config.encoder.blend)
+        self._trainer.end_fit(blend=1.0 if phase is Phase.ENCODE else self._config.encoder.blend)
         self._fitted = True
         self._version += 1
-        self._offer = self._as_offer(export_encoder(trainer.encoder))
+        self._offer = self._as_offer(export_encoder(self._trainer.encoder))
 
     def _as_offer(self, onnx: bytes) -> ModelOffer:
         return ModelOffer(
             kind="encoder", version=self._version, encoder_version=self._version, onnx=onnx, keep=True
         )
 
-    def _new_trainer(self, mean: NDArray[np.float32], scale: float) -> EncoderTrainer:
-        """A fresh encoder with the observation scaling of BABBLE frozen into it."""
-        encoder = Encoder(
-            self._config.observation_size,
-            self._config.latent_dim,
-            hidden=tuple(self._config.encoder.hidden),
-            mean=mean,
-            scale=scale,
-            seed=self._config.seed,
-        )
-        return EncoderTrainer(
-            encoder,
-            learning_rate=self._config.encoder.learning_rate,
-            batch=self._config.encoder.batch,
-            similarity=self._config.encoder.similarity,
-            seed=self._config.seed,
-        )
+
+def _new_trainer(config: EncoderWorkConfig) -> EncoderTrainer:
+    encoder = Encoder(
+        config.observation_size,
+        config.latent_dim,
+        hidden=tuple(config.encoder.hidden),
+        seed=config.seed,
+    )
+    return EncoderTrainer(
+        encoder,
+        learning_rate=config.encoder.learning_rate,
+        batch=config.encoder.batch,
+        similarity=config.encoder.similarity,
+        seed=config.seed,
+    )

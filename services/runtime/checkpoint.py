@@ -19,6 +19,7 @@ log = logging.getLogger(__name__)
 
 Payload = bytes | dict[str, bytes]
 SUFFIX = ".checkpoint"
+DRAFT_SUFFIX = ".draft"
 LONGEST_HEADER_BYTES = 1 << 20
 
 
@@ -33,7 +34,10 @@ class Checkpoints:
         self._unreadable: set[Path] = set()
 
     def save(self, generation: int, payload: bytes | Mapping[str, bytes]) -> None:
-        """Write a checkpoint durably, then delete the oldest beyond `keep`. Raises `StorageError`."""
+        """Write a checkpoint durably, then delete the oldest beyond `keep`. Raises `StorageError`.
+
+        `generation` is one more than the one loaded or saved last, whatever else lies in the folder.
+        """
         named = {"": payload} if isinstance(payload, bytes) else dict(payload)
         digest = hashlib.sha256()
         for part in named.values():
@@ -75,7 +79,8 @@ class Checkpoints:
 
     def _prune(self) -> None:
         whole = [path for path in self._paths() if path not in self._unreadable]
-        for path in [*self._unreadable, *whole[: -self._keep]]:
+        abandoned = self._folder.glob(f".*{SUFFIX}.*{DRAFT_SUFFIX}")
+        for path in [*self._unreadable, *whole[: -self._keep], *abandoned]:
             path.unlink(missing_ok=True)
         self._unreadable.clear()
 
@@ -85,7 +90,7 @@ def write_atomically(path: Path, data: bytes | Iterable[bytes]) -> None:
 
     Raises `StorageError` if the disk is full or refuses; the old file is then still there.
     """
-    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
+    draft = path.with_name(f".{path.name}.{os.getpid()}{DRAFT_SUFFIX}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with draft.open("wb") as file:

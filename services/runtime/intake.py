@@ -118,7 +118,7 @@ class Intake:
             return None
         verdict = self.ledger.judge(segment.life, segment.block, segment.seq)
         if verdict is not Verdict.NEW:
-            self._gate.refuse(self.ledger.refuse(segment.life, segment.block, segment.seq))
+            self.ledger.refuse(segment.life, segment.block, segment.seq)
             # Its sender may not know what is held: say it again at once.
             self._said.pop((segment.life, segment.block), None)
             return None

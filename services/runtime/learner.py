@@ -272,7 +272,7 @@ class Learner:
             "queue_depth": self._intake.queue_depth,
             "lost": ledger.lost,
             "duplicated": ledger.duplicated,
-            "refused": self._gate.refused | self._control_gate.refused,
+            "refused": self._gate.refused | self._control_gate.refused | {"out-of-order": ledger.gaps},
             "waiting_for": self._waiting(progress),
             "last_error": self._gate.last_refusal,
         }

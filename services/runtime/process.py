@@ -171,6 +171,7 @@ def _run(
     run = read_run_name(arguments.run_dir)
     run_settings = settings.load(arguments.run_dir / "config.toml")
     clock, wakeup = RealClock(), Wakeup()
+    log.info("connecting to the router at %s", arguments.connect)
     bus = ZenohBus(arguments.connect, life, wakeup, run_settings.wire.connect_secs)
     try:
         context = Context(

@@ -58,7 +58,7 @@ class ActorSettings(Section):
     """steps per world in one published segment; the rollout length of PPO"""
     window: Annotated[int, Field(ge=1, le=64)] = 4
     """segments sent and not yet acknowledged, at most: the back-pressure"""
-    resend_secs: PositiveFloat = 0.5
+    resend_secs: PositiveFloat = 1.0
     """an unacknowledged segment is sent again after this time"""
 
 

@@ -138,10 +138,11 @@ def test_each_fit_begins_with_a_fresh_optimiser(memory):
     fit = trainer()
     fit.begin_fit(5, 0.3)
     fit.update(memory, 3)
-    used = fit.state()["optimiser"]["steps"]
+    used = len(fit.state()["optimiser"]["state"])
     fit.end_fit()
     fit.begin_fit(5, 0.3)
-    assert (used, fit.state()["optimiser"]["steps"]) == (3, 0)
+    assert used > 0
+    assert fit.state()["optimiser"]["state"] == {}
 
 
 def test_a_trainer_restored_in_the_middle_of_a_fit_goes_on_bit_for_bit(memory):
@@ -164,10 +165,11 @@ def test_a_state_does_not_change_as_training_goes_on(memory):
     fit.update(memory, 2)
     state = fit.state()
     kept = {name: value.clone() for name, value in state["encoder"].items()}
-    moments = [moment.clone() for moment in state["optimiser"]["means"]]
+    moments = [moment["exp_avg"].clone() for moment in state["optimiser"]["state"].values()]
     fit.update(memory, 5)
     assert all(torch.equal(state["encoder"][name], kept[name]) for name in kept)
-    assert all(torch.equal(a, b) for a, b in zip(state["optimiser"]["means"], moments, strict=True))
+    after = [moment["exp_avg"] for moment in state["optimiser"]["state"].values()]
+    assert all(torch.equal(a, b) for a, b in zip(after, moments, strict=True))
 
 
 def test_a_state_between_fits_can_be_restored(memory):

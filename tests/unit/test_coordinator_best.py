@@ -1,0 +1,82 @@
+"""Which iteration of a block is kept."""
+
+import random
+from dataclasses import replace
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.coordinator.best import best, meets_bar, reason, weakest
+from services.coordinator.table import Phase
+from services.coordinator.words import ScoreRow
+
+ROW = ScoreRow(
+    block="body",
+    iteration=1,
+    phase=Phase.PRACTISE,
+    separation=0.95,
+    separation_worst=0.9,
+    z_min=0.95,
+    z_goal=0.97,
+    switch_success=1.0,
+    crossing=None,
+    policy="mean",
+    steps=1000,
+    encoder_version=2,
+    policy_version=20,
+)
+
+
+def row(iteration: int, separation: float, z_min: float, **changes: object) -> ScoreRow:
+    return replace(ROW, iteration=iteration, separation=separation, z_min=z_min, **changes)  # type: ignore[arg-type]
+
+
+def test_of_nothing_nothing_is_best() -> None:
+    assert best([]) is None
+
+
+def test_separation_alone_proves_nothing() -> None:
+    assert best([row(1, 1.0, 0.5), row(2, 0.9, 0.9)]) == row(2, 0.9, 0.9)
+
+
+def test_crossing_counts_where_there_is_a_bridge() -> None:
+    stays, crosses = row(1, 0.99, 0.99, crossing=0.2), row(2, 0.91, 0.92, crossing=0.95)
+    assert best([stays, crosses]) == crosses
+    assert not meets_bar(stays)
+    assert weakest(crosses) == 0.91
+
+
+def test_the_bar_is_met_at_exactly_nine_tenths() -> None:
+    assert meets_bar(row(1, 0.9, 0.9, crossing=0.9))
+    assert not meets_bar(row(1, 0.9, 0.8999))
+
+
+def test_the_mean_policy_is_preferred_to_the_sampled_one() -> None:
+    mean, sampled = row(1, 0.5, 0.5), row(2, 0.99, 0.99, policy="sampled")
+    assert best([mean, sampled]) == mean
+    assert best([sampled]) == sampled
+
+
+def test_of_equals_the_later_iteration_is_kept() -> None:
+    assert best([row(3, 0.95, 0.92), row(1, 0.92, 0.95), row(2, 0.92, 0.92)]) == row(3, 0.95, 0.92)
+
+
+def test_the_reason_names_the_iteration_and_its_weakest_score() -> None:
+    assert reason(row(3, 0.97, 0.95)) == "iteration 3 meets every bar of 0.9; its weakest score is 0.950"
+    assert (
+        reason(row(2, 0.4, 0.95)) == "no iteration meets every bar of 0.9; nearest is iteration 2 with 0.400"
+    )
+
+
+@given(
+    st.lists(st.builds(row, st.integers(0, 9), st.floats(0, 1), st.floats(0, 1)), min_size=1, max_size=8),
+    st.randoms(use_true_random=False),
+)
+def test_the_best_does_not_depend_on_the_order_of_the_rows(
+    rows: list[ScoreRow], chance: random.Random
+) -> None:
+    one, other = best(rows), best(chance.sample(rows, len(rows)))
+    assert one is not None
+    assert other is not None
+    assert (weakest(one), one.iteration) == (weakest(other), other.iteration)
+    assert all(weakest(one) >= weakest(each) for each in rows)

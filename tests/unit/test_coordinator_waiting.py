@@ -1,0 +1,101 @@
+"""The sentences on who waits for whom."""
+
+from dataclasses import replace
+
+import pytest
+
+from services.coordinator.state import Member, OwnLink, Plan, State
+from services.coordinator.table import Phase
+from services.coordinator.waiting import phase_name, stalled, waiting
+from services.coordinator.words import BlockProgress
+
+PLAN = Plan(levels=(("body",), ("a", "b", "c", "d", "e", "f")), iterations=2, stall_secs=60.0)
+ALL = {
+    "e1": Member(service="encoder_learner"),
+    "p1": Member(service="policy_learner"),
+    "a1": Member(service="actor"),
+}
+STATE = State(term=2, phase=Phase.ENCODE, members=ALL)
+
+
+def progress(done: int, life: str = "e1", block: str = "body") -> dict[tuple[str, str], BlockProgress]:
+    return {(block, life): BlockProgress(block=block, done=done, wanted=5000, unit="updates")}
+
+
+def test_it_names_the_learner_and_how_far_it_is() -> None:
+    state = replace(STATE, progress=progress(1200))
+    assert waiting(PLAN, state) == "waiting for encoder_learner: 1,200 of 5,000 updates of body"
+
+
+def test_a_learner_that_said_nothing_yet_is_named_too() -> None:
+    assert waiting(PLAN, STATE) == "waiting for encoder_learner: no word yet of body"
+
+
+def test_a_missing_learner_is_named() -> None:
+    state = replace(STATE, phase=Phase.GROUND, members={"a1": ALL["a1"], "e1": ALL["e1"]})
+    assert waiting(PLAN, state) == "waiting for a policy_learner to appear"
+    assert waiting(PLAN, replace(STATE, members={})) == "waiting for an encoder_learner to appear"
+
+
+@pytest.mark.parametrize("phase", [Phase.BABBLE, Phase.WALK])
+def test_a_data_phase_without_actors_says_so(phase: Phase) -> None:
+    members = {**ALL, "a1": Member(service="actor", lost_at_secs=3.0)}
+    state = replace(STATE, phase=phase, members=members, progress=progress(1200))
+    assert waiting(PLAN, state) == (
+        "waiting for an actor to appear; encoder_learner has 1,200 of 5,000 updates of body"
+    )
+    assert waiting(PLAN, replace(state, phase=Phase.ENCODE)).startswith("waiting for encoder_learner")
+
+
+def test_finished_blocks_are_left_out_and_many_are_counted() -> None:
+    state = replace(STATE, level=1, finished=frozenset({"a"}), progress=progress(7, block="b"))
+    assert waiting(PLAN, state) == (
+        "waiting for encoder_learner: 7 of 5,000 updates of b, no word yet of c, no word yet of d, "
+        "no word yet of e, and 1 more block"
+    )
+
+
+def test_after_a_restart_of_the_learner_the_living_one_is_quoted() -> None:
+    state = replace(STATE, progress={**progress(4000, life="e0"), **progress(10, life="e1")})
+    assert waiting(PLAN, state).endswith("10 of 5,000 updates of body")
+
+
+def test_the_own_link_comes_first() -> None:
+    assert (
+        waiting(PLAN, replace(STATE, link=OwnLink.DOWN))
+        == "waiting for this process's own link to the router"
+    )
+
+
+def test_at_the_end_it_waits_for_the_others_to_leave() -> None:
+    state = replace(STATE, phase=Phase.DONE)
+    assert waiting(PLAN, state) == "waiting for 3 members to leave"
+    assert waiting(PLAN, replace(state, members={"c": Member(service="coordinator")})) == ""
+
+
+def test_before_the_start_and_after_a_stop_it_says_so() -> None:
+    assert waiting(PLAN, State()) == "waiting to be started"
+    assert "--resume" in waiting(PLAN, replace(STATE, stopping=True))
+
+
+def test_a_stall_names_who_waits_for_whom() -> None:
+    state = replace(
+        STATE,
+        phase=Phase.WALK,
+        term=5,
+        iteration=1,
+        progress_at_secs=100.0,
+        progress=progress(1200),
+        learner_waits_for="experience of body",
+    )
+    assert stalled(PLAN, state, 165.0) == (
+        "no progress for 65 s in walk (level 0, iteration 1, term 5): the coordinator is waiting for "
+        "encoder_learner: 1,200 of 5,000 updates of body; encoder_learner says it is waiting for experience "
+        "of body; 1 actor alive"
+    )
+    assert stalled(PLAN, replace(state, members={}), 165.0).endswith("no actor is alive")
+
+
+def test_an_evaluation_says_what_it_measures() -> None:
+    state = replace(STATE, phase=Phase.EVALUATE, evaluates=Phase.GROUND, term=4)
+    assert phase_name(state) == "evaluate of ground (level 0, iteration 0, term 4)"
