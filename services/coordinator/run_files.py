@@ -7,12 +7,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from protocol.messages import Status
 from services.coordinator.words import KeepBest, ScoreRow
 from services.runtime.checkpoint import refuse_storage, write_atomically
 
 
 class RunFiles:
-    """`scores.jsonl`, `best.json` and `events.jsonl` of one run.
+    """`scores.jsonl`, `best.json`, `events.jsonl` and `metrics.jsonl` of one run.
 
     Every method raises `StorageError` if the disk refuses.
     """
@@ -22,6 +23,8 @@ class RunFiles:
         self._scores = run_dir / "scores.jsonl"
         self._best = run_dir / "best.json"
         self._events = run_dir / "events.jsonl"
+        self._metrics = run_dir / "metrics.jsonl"
+        self._last_totals: dict[str, Mapping[str, int]] = {}
 
     def restore(self, scores: Iterable[ScoreRow], best: Iterable[KeepBest]) -> None:
         """Make the files what the journal says, whatever a kill left of them."""
@@ -45,6 +48,15 @@ class RunFiles:
         """Append a milestone with its time to `events.jsonl`."""
         time = datetime.fromtimestamp(now_secs, UTC).isoformat(timespec="milliseconds")
         self._append(self._events, _line({"time": time, "secs": now_secs, "what": what, "text": text}))
+
+    def add_metrics(self, now_secs: float, status: Status) -> None:
+        """Append what a learner measures to `metrics.jsonl`, if it has worked since its last line."""
+        if self._last_totals.get(status.life) == status.totals:
+            return
+        self._last_totals[status.life] = status.totals
+        fields = {"term", "phase", "service", "life", "totals", "metrics"}
+        record = {"now_secs": round(now_secs, 3), **status.model_dump(mode="json", include=fields)}
+        self._append(self._metrics, _line(record))
 
     def _score(self, row: ScoreRow) -> dict[str, Any]:
         return {"run": self._run, **asdict(row)}

@@ -18,6 +18,7 @@ from services.coordinator.machine import announcement, best_of, decide
 from services.coordinator.report import describe, witnesses
 from services.coordinator.run_files import RunFiles
 from services.coordinator.state import State, present
+from services.coordinator.table import LEARNERS
 from services.coordinator.translate import announced, status_reported
 from services.coordinator.waiting import phase_name, waiting
 from services.coordinator.words import (
@@ -163,6 +164,8 @@ class CoordinatorService:
             if isinstance(status, Status) and status.life != self._life:
                 if status.life in self._state.members:
                     self._heard[status.life] = status
+                if status.service in LEARNERS:
+                    self._files.add_metrics(now_secs, status)
                 self._decide(status_reported(now_secs, status))
 
     def _decide(self, event: Event) -> None:

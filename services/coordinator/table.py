@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Literal
+from typing import Literal, get_args
 
 
 class Phase(StrEnum):
@@ -46,6 +46,7 @@ NEXT: Mapping[Phase, Mapping[Phase, str]] = MappingProxyType(
 """Phase -> the possible next phases, each with its condition."""
 
 Learner = Literal["encoder_learner", "policy_learner"]
+LEARNERS: tuple[Learner, ...] = get_args(Learner)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,7 +21,8 @@ class RouterConfig:
 def parse(argv: Sequence[str] | None = None) -> RouterConfig:
     """The configuration of the command line and the environment."""
     parser = argparse.ArgumentParser(
-        prog="python -m services.router", description="The Zenoh router that all processes of a run connect to."
+        prog="python -m services.router",
+        description="The Zenoh router that all processes of a run connect to.",
     )
     parser.add_argument(
         "--listen",

@@ -28,6 +28,8 @@ from services.runtime.work import Work
 log = logging.getLogger(__name__)
 
 IDLE_SECS = 0.1
+NEWS_SECS = 0.2
+"""While it trains, its measurements are published so often: they are the learning curves."""
 LONGEST_SPOOL_BYTES = 256 << 20
 """A spool this long is checkpointed away before its time."""
 
@@ -61,6 +63,7 @@ class Learner:
         self._spool = Spool(self._folder)
         self._generation = 0
         self._checkpointed_secs = 0.0
+        self._told_secs = float("-inf")
         self._known: set[str] = set()
         self._stale = 0
         self._received = 0
@@ -103,7 +106,10 @@ class Learner:
         due = now_secs - self._checkpointed_secs > self._context.settings.wire.checkpoint_secs
         if due or self._spool.size_bytes > LONGEST_SPOOL_BYTES:
             self._checkpoint(now_secs)
-        self._heart.poll(now_secs, self._report, urgent=self._urgent)
+        told = busy and now_secs - self._told_secs >= NEWS_SECS
+        if self._urgent or told:
+            self._told_secs = now_secs
+        self._heart.poll(now_secs, self._report, urgent=self._urgent or told)
         self._urgent = False
         return 0.0 if busy else IDLE_SECS
 

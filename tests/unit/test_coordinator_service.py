@@ -296,3 +296,18 @@ def test_a_journal_that_cannot_be_written_is_a_sentence(
         patched.setattr("os.fsync", full)
         with pytest.raises(StorageError, match=r"journal\.jsonl: No space left on device"):
             stage.poll()
+
+
+def test_what_learners_measure_is_kept_line_by_line_while_they_work(stage: Stage) -> None:
+    stage.everybody_joins()
+    for updates in (1, 1, 2):
+        stage.say(
+            "policy_learner", term=1, totals={"body/policy_updates": updates}, metrics={"loss": 0.5 / updates}
+        )
+        stage.poll(0.1)
+    stage.say("actor", term=1, totals={"env_steps": 9})
+    stage.poll(0.1)
+    kept = stage.lines("metrics.jsonl")
+    assert [line["totals"]["body/policy_updates"] for line in kept] == [1, 2], "a repeat is not kept twice"
+    assert kept[1]["metrics"]["loss"] == 0.25
+    assert {line["service"] for line in kept} == {"policy_learner"}

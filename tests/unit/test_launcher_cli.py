@@ -1,0 +1,98 @@
+"""The command line: what it imports, what it says, and the pure parts of its small commands."""
+
+import subprocess
+import sys
+
+import pytest
+
+from babble.worlds import WORLDS
+from services.launcher.cli import main
+from services.launcher.doctor import packages, requirements
+from services.launcher.status_command import status_lines
+from services.launcher.worlds_command import world_lines
+
+HEAVY = {"torch", "stable_baselines3", "onnx", "matplotlib", "mujoco"}
+
+
+def modules_after(code: str) -> set[str]:
+    program = f"{code}\nimport sys; print(*{{name.partition('.')[0] for name in sys.modules}})"
+    said = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True
+    )
+    return set(said.stdout.splitlines()[-1].split())
+
+
+def test_the_launcher_loads_nothing_heavy_and_its_help_next_to_nothing() -> None:
+    service = modules_after("import services.launcher.up, services.launcher.status_command")
+    assert not service & HEAVY
+    helped = modules_after(
+        "from services.launcher.cli import main\ntry: main(['--help'])\nexcept SystemExit: pass"
+    )
+    assert not helped & (HEAVY | {"numpy", "pydantic", "zenoh", "rich", "gymnasium"})
+
+
+def test_without_a_command_it_helps(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 0
+    said = capsys.readouterr().out
+    for command in ("up", "status", "score", "worlds", "doctor"):
+        assert f"    {command} " in said
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("babble 0.")
+
+
+def test_a_missing_package_is_one_sentence(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delitem(sys.modules, "services.launcher.worlds_command")
+    monkeypatch.setitem(sys.modules, "babble.worlds", None)
+    monkeypatch.setattr("services.launcher.cli.OURS", ())
+    assert main(["worlds"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_worlds_are_told_with_parameters_defaults_and_diameter() -> None:
+    lines = "\n".join(world_lines(WORLDS["Dumbbell"]))
+    for needed in ("lobe_centre = 0.9", "bridge_radius = 0.15", "= 2.8", "babble/Dumbbell-v0"):
+        assert needed in lines
+
+
+def test_the_doctor_names_what_is_missing_and_the_extra_to_install() -> None:
+    found = packages("learner", ["numpy", "torch"], {"numpy": "2.4"}.get)
+    assert not found.good
+    assert "without torch;" in found.text
+    assert "babble[learner]" in found.text
+    assert packages("actor", ["numpy"], {"numpy": "2.4"}.get).text == "numpy 2.4"
+
+
+def test_the_doctor_knows_the_packages_of_an_extra_through_other_extras() -> None:
+    assert {"eclipse-zenoh", "msgpack", "torch", "stable-baselines3"} <= set(requirements("learner"))
+    assert "torch" not in requirements("actor")
+    assert {"rich", "onnxruntime"} <= set(requirements("launcher"))
+
+
+def test_status_tells_phase_members_and_scores() -> None:
+    row = {"block": "body", "iteration": 0, "policy": "mean", "separation": 0.5, "z_min": 0.25, "z_goal": 1.0}
+    told = {
+        "run": "r",
+        "phase": "evaluate",
+        "evaluates": "practise",
+        "iteration": 1,
+        "iterations": 4,
+        "term": 8,
+        "waiting": "waiting for policy_learner",
+        "members": [{"life": "actor-1", "totals": {"env_steps": 1234}, "versions": {"encoder/body": 2}}],
+        "scores": [{**row, "switch_success": 1.0, "crossing": None}],
+        "best": [{"block": "body", "iteration": 0, "reason": "nearest"}],
+    }
+    lines = status_lines(told)
+    assert lines[:2] == [
+        "run r: EVALUATE after PRACTISE, iteration 1 of 4, term 8",
+        "waiting for policy_learner",
+    ]
+    assert any(
+        line.startswith("actor-1 ") and line.endswith("1,234 steps; encoder/body v2") for line in lines
+    )
+    assert lines[-1] == "best of body: iteration 0; nearest"

@@ -1,0 +1,84 @@
+"""What `babble up` accepts and refuses before anything starts."""
+
+import socket
+from pathlib import Path
+
+import pytest
+
+from services.launcher.config import address_of, check_world, scenario_path, scenario_settings
+from services.runtime.errors import BusError
+from services.runtime.settings import SettingsError, parse
+
+
+def test_a_scenario_is_found_by_path_and_by_bare_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "scenarios").mkdir()
+    (tmp_path / "scenarios" / "torus.toml").write_text('scenario = "torus"\n')
+    monkeypatch.chdir(tmp_path)
+    by_path = scenario_path("scenarios/torus.toml")
+    assert by_path.samefile(scenario_path("torus"))
+    assert by_path.samefile(scenario_path("torus.toml"))
+
+
+def test_without_a_folder_here_the_repositorys_scenarios_are_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert scenario_settings("cuboid", actors=None, seed=None).scenario == "cuboid"
+    with pytest.raises(SettingsError, match=r"no scenario 'torus'.*cuboid, dumbbell, ellipsoid"):
+        scenario_path("torus")
+
+
+def test_actors_and_seed_of_the_command_line_replace_the_scenarios() -> None:
+    settings = scenario_settings("cuboid", actors=5, seed=7)
+    assert (settings.actors.count, settings.seed) == (5, 7)
+    assert scenario_settings("cuboid", actors=None, seed=None).actors.count == 2
+
+
+@pytest.mark.parametrize(
+    ("table", "sentence"),
+    [
+        ({"world": {"id": "Torus"}}, "no world 'Torus'"),
+        ({"world": {"parameters": {"sped": 1}}}, "no parameter 'sped'"),
+        ({"world": {"parameters": {"speed": "fast"}}}, "speed must be"),
+        ({"block": [{"observes": [7]}]}, "observes 7"),
+    ],
+)
+def test_worlds_and_blocks_are_tried_out(table: dict[str, object], sentence: str) -> None:
+    settings = parse({"scenario": "x", **table}, origin="x.toml")
+    with pytest.raises(SettingsError, match=sentence) as refused:
+        check_world(settings, origin="x.toml")
+    assert str(refused.value).startswith("x.toml: ")
+
+
+def test_by_default_the_router_listens_to_this_machine_on_a_free_port() -> None:
+    address = address_of(None)
+    assert address.listen == address.connect
+    host, port = address.listen.removeprefix("tcp/").split(":")
+    assert host == "127.0.0.1"
+    with socket.socket() as probe:
+        probe.bind((host, int(port)))
+
+
+def test_an_address_for_other_hosts_is_reached_by_loopback_here() -> None:
+    port = address_of(None).listen.rpartition(":")[2]
+    address = address_of(f"tcp/0.0.0.0:{port}")
+    assert (address.listen, address.connect) == (f"tcp/0.0.0.0:{port}", f"tcp/127.0.0.1:{port}")
+
+
+def test_a_busy_port_is_refused_with_what_to_do() -> None:
+    with socket.socket() as holder:
+        holder.bind(("127.0.0.1", 0))
+        holder.listen()
+        port = holder.getsockname()[1]
+        with pytest.raises(BusError, match=f"127.0.0.1:{port}.*in use.*--listen"):
+            address_of(f"tcp/127.0.0.1:{port}")
+
+
+@pytest.mark.parametrize(
+    "address", ["7447", "tcp/127.0.0.1", "tcp/:7447", "udp/127.0.0.1:7447", "tcp/a:70000"]
+)
+def test_what_is_no_address_is_refused(address: str) -> None:
+    with pytest.raises(BusError, match=r"must look like tcp/127\.0\.0\.1:7447"):
+        address_of(address)
