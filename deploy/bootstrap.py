@@ -2,15 +2,17 @@
 
 With Debian's python3-venv (or any complete Python) pip installs uv, so that pip's own settings
 (mirror, certificates) hold. A bare Debian Python has no ensurepip; there the wheel of uv is taken
-from PyPI, checked against the digest that PyPI states, and unpacked.
+from the index, checked against the digest stated there, and unpacked.
 """
 
 import hashlib
 import io
 import json
+import os
 import platform
 import subprocess
 import sys
+import urllib.parse
 import urllib.request
 import venv
 import zipfile
@@ -24,7 +26,9 @@ DEADLINE_SECS = 120
 def main() -> int:
     """Make the environment; returns the exit code."""
     if sys.version_info < (3, 11):
-        return _refuse(f"Babble needs Python 3.11 or newer; this is {platform.python_version()} ({sys.executable})")
+        return _refuse(
+            f"Babble needs Python 3.11 or newer; this is {platform.python_version()} ({sys.executable})"
+        )
     uv = VENV / "bin" / "uv"
     if not (VENV / "bin" / "python").exists():
         venv.create(VENV, with_pip=False, symlinks=True)
@@ -33,7 +37,9 @@ def main() -> int:
     try:
         _install_with_pip() if _has_ensurepip() else _install_wheel(uv)
     except (OSError, subprocess.CalledProcessError, ValueError) as error:
-        return _refuse(f"cannot install uv {UV_VERSION} into {VENV}: {error}; check the network and try again")
+        return _refuse(
+            f"cannot install uv {UV_VERSION} into {VENV}: {error}; check the network and try again"
+        )
     return 0
 
 
@@ -53,21 +59,28 @@ def _install_with_pip() -> None:
 
 
 def _install_wheel(uv: Path) -> None:
-    with urllib.request.urlopen(f"https://pypi.org/pypi/uv/{UV_VERSION}/json", timeout=DEADLINE_SECS) as page:
-        files = json.load(page)["urls"]
-    machine = platform.machine()
-    chosen = [f for f in files if f["filename"].endswith(f"manylinux2014_{machine}.whl") or
-              ("manylinux" in f["filename"] and machine in f["filename"])]
-    if not chosen:
-        raise ValueError(f"PyPI has no Linux wheel of it for {machine}")
-    with urllib.request.urlopen(chosen[0]["url"], timeout=DEADLINE_SECS) as download:
+    name, url, sha256 = _wheel(platform.machine())
+    with urllib.request.urlopen(url, timeout=DEADLINE_SECS) as download:
         wheel = download.read()
-    if hashlib.sha256(wheel).hexdigest() != chosen[0]["digests"]["sha256"]:
-        raise ValueError("the downloaded wheel does not have the digest that PyPI states")
+    if hashlib.sha256(wheel).hexdigest() != sha256:
+        raise ValueError(f"{name} does not have the digest that the index states")
     with zipfile.ZipFile(io.BytesIO(wheel)) as archive:
-        name = next(n for n in archive.namelist() if n.endswith("/scripts/uv"))
-        uv.write_bytes(archive.read(name))
+        program = next(n for n in archive.namelist() if n.endswith("/scripts/uv"))
+        uv.write_bytes(archive.read(program))
     uv.chmod(0o755)
+
+
+def _wheel(machine: str) -> tuple[str, str, str]:
+    """Name, address and digest of uv's Linux wheel, from the index's JSON form (PEP 691)."""
+    page = f"{os.environ.get('PIP_INDEX_URL', 'https://pypi.org/simple').rstrip('/')}/uv/"
+    request = urllib.request.Request(page, headers={"Accept": "application/vnd.pypi.simple.v1+json"})
+    with urllib.request.urlopen(request, timeout=DEADLINE_SECS) as answer:
+        files = json.load(answer)["files"]
+    for file in files:
+        name = file["filename"]
+        if name.startswith(f"uv-{UV_VERSION}-") and "manylinux" in name and name.endswith(f"{machine}.whl"):
+            return name, urllib.parse.urljoin(page, file["url"]), file["hashes"]["sha256"]
+    raise ValueError(f"the index has no Linux wheel of it for {machine}")
 
 
 def _refuse(sentence: str) -> int:
