@@ -5,7 +5,6 @@ cannot do is come near the vertices. A score that this control passes proves not
 whole of GROUND in one process: a random walk, an encoder, and PPO on rollouts.
 """
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -33,13 +32,13 @@ def train_on_untrained_encoder(
     train_steps: int,
     goal_period_steps: int = 100,
     encoder_hidden: tuple[int, ...] = (64, 64),
-    ppo: Mapping[str, Any] | None = None,
     seed: int = 0,
+    **ppo: Any,
 ) -> tuple[EncoderModel, PolicyModel]:
     """An encoder with random weights, and a policy trained on it for `train_steps` environment steps.
 
-    The walk of `walk_steps` only sets the encoder's scaling. `ppo` are keyword arguments of `GoalPPO`.
-    Raises ValueError for what one of the parts cannot take.
+    The walk of `walk_steps` only sets the encoder's scaling. `ppo` are fields of `PPOSettings`.
+    Raises ValueError or TypeError for what one of the parts cannot take.
     """
     encoder_seed, policy_seed, acting_seed = (
         int(word) for word in np.random.SeedSequence([seed, 5]).generate_state(3)
@@ -47,9 +46,7 @@ def train_on_untrained_encoder(
     mean, scale = walk(world, noise, walk_steps).scaling()
     network = Encoder(world.observation_size, latent_dim, encoder_hidden, mean, scale, seed=encoder_seed)
     encoder = EncoderModel(export_encoder(network))
-    learner = GoalPPO(
-        latent_dim, world.action_size, columns=world.columns, seed=policy_seed, **dict(ppo or {})
-    )
+    learner = GoalPPO(latent_dim, world.action_size, columns=world.columns, seed=policy_seed, **ppo)
     rng = np.random.default_rng(acting_seed)
     clock = GoalClock(world.columns, latent_dim, goal_period_steps, rng)
     return encoder, ground(world, encoder, learner, clock, rng, train_steps)
@@ -80,12 +77,12 @@ def ground(
     rng: np.random.Generator,
     steps: int,
 ) -> PolicyModel:
-    """Train `ppo` towards the goals of `clock` with the encoder frozen; `steps` in whole rollouts, rounded up."""
+    """Train `ppo` towards the goals of `clock`, the encoder frozen; `steps` in whole rollouts, rounded up."""
     policy = PolicyModel(export_policy(ppo))
     observation = world.reset()
-    for _ in range(-(-steps // (ppo.steps * ppo.columns))):
+    for _ in range(-(-steps // (ppo.settings.steps * ppo.settings.columns))):
         rows = []
-        for _ in range(ppo.steps):
+        for _ in range(ppo.settings.steps):
             row, observation = transition(world, observation, encoder, policy, clock, rng)
             rows.append(row)
         ppo.update({name: np.stack([row[name] for row in rows]) for name in rows[0]})

@@ -25,7 +25,7 @@ DEADLINE_SECS = 120
 
 def main() -> int:
     """Make the environment; returns the exit code."""
-    if sys.version_info < (3, 11):
+    if sys.version_info < (3, 11):  # noqa: UP036 - this runs before any requirement was checked
         return _refuse(
             f"Babble needs Python 3.11 or newer; this is {platform.python_version()} ({sys.executable})"
         )

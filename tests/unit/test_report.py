@@ -62,6 +62,17 @@ def test_success_is_said_with_the_places(
     assert "unfinished" not in text
 
 
+def test_drawn_ways_lead_from_end_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[figures.Ends] = []
+    monkeypatch.setattr(figures, "draw_world", lambda path, body, ends, title: drawn.append(ends))
+    write_report(write_run(tmp_path / "run", [good()]))
+    (ends,) = drawn
+    np.testing.assert_array_equal(ends.way[:, -1], ends.posture)
+    # From the opposite corner, where the leg before ended.
+    np.testing.assert_allclose(ends.way[:, 0], -ends.posture, atol=1e-6)
+    assert np.ptp(ends.first_way[:, 0], axis=0).min() > 0.3
+
+
 @pytest.mark.usefixtures("undrawn")
 def test_failure_is_said_with_the_reason_and_where_the_goals_lead_instead(tmp_path: Path) -> None:
     text = report_of(write_run(tmp_path / "run", [good(), face()], best=1))

@@ -111,6 +111,14 @@ def test_a_verdict_below_the_bar_says_what_is_missing(
     assert "iteration 1, mean actions: not reached: z_min 0.57 < 0.9" in capsys.readouterr().out
 
 
+def test_the_verdict_is_on_the_kept_iteration_wherever_it_stands(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = write_run(tmp_path / "late", [good(), flat(), good()], best=1)
+    assert main(["score", str(folder), "--columns", "4"]) == 0
+    assert "best iteration 1, mean actions: not reached: z_min 0.57" in capsys.readouterr().out
+
+
 def test_a_run_may_be_given_by_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,0 +1,257 @@
+"""A run's folder: what the launcher writes into it, and what it reads back."""
+
+import fcntl
+import json
+import os
+import platform
+import subprocess
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from services.launcher.config import ROOT
+from services.runtime.checkpoint import refuse_storage, write_atomically
+from services.runtime.errors import UserError
+from services.runtime.process import read_run_name
+from services.runtime.settings import RunSettings, load
+
+RUNS = Path("runs")
+ENDPOINT = "endpoint"
+"""The file with the router's address."""
+LONGEST_SCENARIO = 32
+"""So much of the scenario's name goes into the run's, which is at most 64 characters."""
+MOST_ALIKE = 100
+GIT_SECS = 5.0
+PACKAGES = (
+    "eclipse-zenoh",
+    "gymnasium",
+    "matplotlib",
+    "msgpack",
+    "numpy",
+    "onnx",
+    "onnxruntime",
+    "pydantic",
+    "stable-baselines3",
+    "torch",
+)
+
+
+class RunFolderError(UserError):
+    """A folder that cannot be the folder of this run."""
+
+
+class RunFolder:
+    """The folder of one run; it exists and holds `run.json` and `config.toml`."""
+
+    def __init__(self, path: Path, run: str) -> None:
+        self.path = path
+        self.run = run
+
+    @classmethod
+    def create(cls, settings: RunSettings, where: Path | None, command: Sequence[str]) -> "RunFolder":
+        """A new folder, at `where` or as `runs/<scenario>-<time>-<seed>`.
+
+        Raises `RunFolderError` if `where` is in use for something else, `StorageError` if the disk refuses.
+        """
+        made = datetime.now()
+        name = run_name(settings, made)
+        path = _new_folder(name) if where is None else _empty_folder(where)
+        run = path.name if where is None else name
+        write_atomically(path / "config.toml", config_text(settings).encode())
+        record: dict[str, Any] = {"run": run, "created": made.astimezone(UTC).isoformat(timespec="seconds")}
+        record |= {"seed": settings.seed, "seed_tree": "run -> service or actor index -> life"}
+        record |= {"command": [*command], **versions()}
+        write_atomically(path / "run.json", json.dumps(record, indent=2).encode() + b"\n")
+        return cls(path, run)
+
+    @classmethod
+    def find(cls, text: str) -> "RunFolder":
+        """An existing run, given by its folder or by its name under runs/. Raises `RunFolderError`."""
+        for path in (Path(text).expanduser(), RUNS / text):
+            if (path / "run.json").is_file() and (path / "config.toml").is_file():
+                return cls(path.resolve(), read_run_name(path))
+        raise RunFolderError(
+            f"{text!r} is not the folder of a run (it has no run.json and config.toml) "
+            f"nor a name under {RUNS}/; give the folder that `babble up` made"
+        )
+
+    @property
+    def shown(self) -> str:
+        """The path as a person here would type it."""
+        here = Path.cwd()
+        return str(self.path.relative_to(here) if self.path.is_relative_to(here) else self.path)
+
+    def endpoint(self) -> str:
+        """The router's address while the run goes on. Raises `RunFolderError` if none is recorded."""
+        try:
+            return (self.path / ENDPOINT).read_text().strip()
+        except OSError as error:
+            sentence = (
+                f"cannot read {self.path / ENDPOINT} ({error.strerror}); give the address with --connect"
+            )
+            raise RunFolderError(sentence) from None
+
+    def settings(self) -> RunSettings:
+        """The run's settings, as recorded at its start. Raises `SettingsError`."""
+        return load(self.path / "config.toml")
+
+    def log(self, name: str) -> Path:
+        """The log file of a process."""
+        return self.path / "logs" / f"{name}.log"
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Hold the folder for this launcher. Raises `RunFolderError` if another one has it.
+
+        The lock is the kernel's (flock), so that it goes with the launcher however that ends.
+        """
+        path = self.path / "lock"
+        try:
+            handle = os.open(path, os.O_RDONLY | os.O_CREAT, 0o644)
+        except OSError as error:
+            refuse_storage(path, error)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            yield
+        except BlockingIOError:
+            raise RunFolderError(
+                f"the run {self.shown} is going on in another process; "
+                f"see it with `babble status {self.shown}`"
+            ) from None
+        finally:
+            os.close(handle)
+
+    def in_use(self) -> bool:
+        """True while a launcher holds the folder."""
+        try:
+            with self.locked():
+                return False
+        except RunFolderError:
+            return True
+
+    def scores(self) -> list[dict[str, Any]]:
+        """The rows of `scores.jsonl`; none if there are none yet."""
+        try:
+            lines = (self.path / "scores.jsonl").read_bytes().split(b"\n")
+        except OSError:
+            return []
+        # The last part is empty, or a line that is being written.
+        return [json.loads(line) for line in lines[:-1]]
+
+    def scores_size(self) -> int:
+        """Bytes of `scores.jsonl`, which only grows; 0 if there is none."""
+        try:
+            return (self.path / "scores.jsonl").stat().st_size
+        except OSError:
+            return 0
+
+    def best(self) -> dict[str, dict[str, Any]]:
+        """Block -> the iteration that is kept, its versions and why; empty if there is none yet."""
+        return self._read("best.json")
+
+    def result(self) -> dict[str, Any]:
+        """What `finish` wrote; empty if the run is not completed."""
+        return self._read("result.json")
+
+    def finish(self, result: dict[str, Any]) -> None:
+        """Record that the run is completed. Raises `StorageError`."""
+        write_atomically(self.path / "result.json", json.dumps(result, indent=2).encode() + b"\n")
+
+    def _read(self, name: str) -> dict[str, Any]:
+        path = self.path / name
+        try:
+            found = json.loads(path.read_bytes())
+        except FileNotFoundError:
+            return {}
+        except (OSError, ValueError) as error:
+            raise RunFolderError(
+                f"cannot read {path} ({error}); put back a copy of it or delete it"
+            ) from None
+        return found if isinstance(found, dict) else {}
+
+
+def running() -> list[RunFolder]:
+    """The runs under runs/ that a launcher holds, the newest last."""
+    files = sorted(RUNS.glob("*/run.json"), key=lambda path: path.stat().st_mtime)
+    return [folder for folder in (RunFolder.find(str(path.parent)) for path in files) if folder.in_use()]
+
+
+def run_name(settings: RunSettings, made: datetime) -> str:
+    """`<scenario>-<time>-<seed>`, a `Name` of the protocol."""
+    return f"{settings.scenario[:LONGEST_SCENARIO]}-{made:%Y%m%d-%H%M%S}-{settings.seed}"
+
+
+def config_text(settings: RunSettings) -> str:
+    """All settings as TOML; what is None is left out, as in a scenario."""
+    import tomli_w
+
+    return tomli_w.dumps(settings.model_dump(mode="json", exclude_none=True))
+
+
+def versions() -> dict[str, Any]:
+    """The version of the code, of Python and of the packages that matter to a result."""
+    return {
+        "babble": {
+            "version": metadata.version("babble"),
+            "commit": _git("rev-parse", "HEAD"),
+            "dirty": _dirty(),
+        },
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "packages": {name: version for name in PACKAGES if (version := installed(name)) is not None},
+    }
+
+
+def installed(package: str) -> str | None:
+    """The version of an installed package, or None."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _dirty() -> bool | None:
+    changes = _git("status", "--porcelain")
+    return None if changes is None else bool(changes)
+
+
+def _git(*arguments: str) -> str | None:
+    """What git says about the code, None where there is no git or no repository."""
+    if not (ROOT / ".git").exists():
+        return None
+    try:
+        said = subprocess.run(
+            ["git", "-C", str(ROOT), *arguments], capture_output=True, text=True, timeout=GIT_SECS, check=True
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return said.stdout.strip()
+
+
+def _new_folder(name: str) -> Path:
+    for number in range(1, MOST_ALIKE):
+        path = RUNS / (name if number == 1 else f"{name}-{number}")
+        try:
+            path.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        except OSError as error:
+            refuse_storage(path, error)
+        return path.resolve()
+    raise RunFolderError(f"there are {MOST_ALIKE} runs {RUNS / name} already; wait a second and try again")
+
+
+def _empty_folder(path: Path) -> Path:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        filled = any(path.iterdir())
+    except OSError as error:
+        refuse_storage(path, error)
+    if (path / "run.json").exists():
+        raise RunFolderError(f"{path} already holds a run; go on with it by `babble up --resume {path}`")
+    if filled:
+        raise RunFolderError(f"--run-dir {path} is not empty; give a new or empty folder")
+    return path.resolve()

@@ -1,0 +1,246 @@
+"""The life of `babble up`: start, look after, show, end. The only room with a loop."""
+
+import logging
+import signal
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from protocol import keys
+from protocol.gate import Gate
+from protocol.messages import Message, PhaseAnnounced, Status
+from services.launcher.child import ChildProcess
+from services.launcher.config import Address
+from services.launcher.display import Display
+from services.launcher.members import Picture
+from services.launcher.run_folder import ENDPOINT, RunFolder
+from services.launcher.supervisor import USER_ERROR, Part, Supervisor
+from services.runtime.bus import Bus, Frame, Inbox, Link, Membership, Question, Wakeup
+from services.runtime.checkpoint import write_atomically
+from services.runtime.errors import BusError
+from services.runtime.process import new_life
+from services.runtime.settings import RunSettings
+
+log = logging.getLogger(__name__)
+
+POLL_SECS = 0.1
+BRISK_SECS = 0.02
+"""Between two looks at processes that are ending."""
+SCORES_SECS = 0.5
+"""`scores.jsonl` is looked at so often."""
+LEAVE_SECS = 10.0
+"""After the end of the run, and without a coordinator, the others have so long to leave."""
+STOP_SECS = 3.4
+"""Processes asked to stop have so long; one that is killed then goes on from its checkpoint and spool."""
+ROUTER_SECS = 0.5
+"""The router goes last and has so long."""
+KILL_SECS = 0.3
+"""Killed processes are waited for so long, for the sake of their CPU seconds.
+
+With the above, and what the launcher itself needs to end on a busy machine, everything ends within 5 s.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """How `babble up` ended."""
+
+    code: int
+    sentence: str
+    """what went wrong; empty if nothing did, or a signal stopped it"""
+    completed: bool
+    """True if the run is done"""
+    scores_secs: float
+    """from the start of the processes to the end of the run"""
+    cpu_secs: dict[str, float]
+    """of the processes, by name"""
+
+
+class Interrupts:
+    """SIGINT and SIGTERM, noted; the loop asks."""
+
+    def __init__(self) -> None:
+        self.numbers: list[int] = []
+        self._before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def __enter__(self) -> "Interrupts":
+        for number in self._before:
+            signal.signal(number, lambda received, _: self.numbers.append(received))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+
+class Launcher:
+    """Runs one run to its end; see `run`."""
+
+    def __init__(self, folder: RunFolder, settings: RunSettings, address: Address, display: Display) -> None:
+        self._folder, self._display, self._endpoint = folder, display, address.connect
+        self._connect_secs = settings.wire.connect_secs
+        self._supervisor = Supervisor(parts_of(folder, settings, address), ChildProcess)
+        self._picture = Picture(folder.run, folder.shown, time.monotonic())
+        self._wakeup = Wakeup()
+        self._inbox = Inbox(self._wakeup, max_frames=keys.DELIVERY["status"].keep)
+        self._gate = Gate(folder.run, {"status", "phase"})
+        self._bus: Bus | None = None
+        self._unconnected = ""
+        self._scores_size, self._scores_at_secs = -1, float("-inf")
+        self._done_secs: float | None = None
+        self._unled_secs: float | None = None
+
+    def run(self, interrupts: Interrupts) -> Outcome:
+        """Start all processes and look after them until the run is done or cannot go on, or a signal comes.
+
+        Raises `StorageError` or `UserError` if not even that is possible.
+        """
+        write_atomically(self._folder.path / ENDPOINT, f"{self._endpoint}\n".encode())
+        try:
+            with self._display:
+                return self._work(interrupts)
+        finally:
+            # Whatever happened above: nothing that was started is left behind.
+            self._supervisor.stop(signal.SIGKILL, everything=True)
+
+    def _work(self, interrupts: Interrupts) -> Outcome:
+        """Start all at once (they take seconds to import what they need), look after them, end."""
+        self._supervise()
+        # The launcher's own connection is made on a thread, so that no signal has to wait for it.
+        threading.Thread(target=self._connect, name="connect", daemon=True).start()
+        while not self._over(interrupts):
+            self._wakeup.wait(POLL_SECS)
+            self._hear()
+            self._supervise()
+            self._display.show(self._picture, time.monotonic())
+        self._end(interrupts)
+        self._read_scores(float("inf"))
+        self._display.show(self._picture, time.monotonic())
+        return self._outcome(interrupts)
+
+    def _over(self, interrupts: Interrupts) -> bool:
+        over = self._supervisor.finished() or self._supervisor.fatal or self._unconnected
+        return bool(interrupts.numbers or over or self._overdue())
+
+    def _overdue(self) -> bool:
+        """True if the run is done and some stay all the same, with nobody there to tell them."""
+        if not self._picture.done or self._supervisor.led():
+            self._unled_secs = None
+            return False
+        self._unled_secs = self._unled_secs or time.monotonic()
+        return time.monotonic() > self._unled_secs + LEAVE_SECS
+
+    def _supervise(self) -> None:
+        now_secs = time.monotonic()
+        for sentence in self._supervisor.poll(now_secs, done=self._picture.done):
+            self._picture.note_error(sentence, sentence, now_secs)
+
+    def _connect(self) -> None:
+        from services.runtime.zenoh_bus import ZenohBus
+
+        run = self._folder.run
+        try:
+            bus = ZenohBus(self._endpoint, new_life("launcher"), self._wakeup, self._connect_secs)
+            bus.watch_link(self._inbox)
+            bus.subscribe("phase", keys.phase(run), self._inbox)
+            bus.subscribe("status", keys.status(run, "*", "*"), self._inbox)
+            bus.watch(keys.alive(run, "*", "*"), self._inbox)
+        except BusError as error:
+            self._unconnected = str(error)
+            return
+        self._bus = bus
+
+    def _hear(self) -> None:
+        now_secs = time.monotonic()
+        for arrival in self._inbox.take_all():
+            match arrival:
+                case Frame(key=key, data=data):
+                    self._hear_message(self._gate.admit(key, data), now_secs)
+                case Membership(key=key, present=True):
+                    self._picture.appeared(*keys.member(key))
+                case Membership(key=key):
+                    self._picture.vanished(keys.member(key)[1], now_secs)
+                case Link(up=up):
+                    self._picture.link(up, now_secs)
+                case Question():
+                    log.error("a question came to the launcher, which answers none")
+        self._picture.settle(now_secs)
+        self._read_scores(now_secs)
+        if self._picture.done and self._done_secs is None:
+            self._done_secs = now_secs
+
+    def _hear_message(self, message: Message | None, now_secs: float) -> None:
+        match message:
+            case PhaseAnnounced():
+                self._picture.hear_phase(message)
+            case Status():
+                self._picture.hear_status(message, now_secs)
+
+    def _read_scores(self, now_secs: float) -> None:
+        if now_secs < self._scores_at_secs + SCORES_SECS:
+            return
+        self._scores_at_secs = now_secs
+        size = self._folder.scores_size()
+        if size != self._scores_size:
+            self._scores_size = size
+            self._picture.scores = self._folder.scores()
+
+    def _end(self, interrupts: Interrupts) -> None:
+        """End all processes in order; at another signal at once."""
+        heard = len(interrupts.numbers)
+
+        def hurried() -> bool:
+            return len(interrupts.numbers) > heard
+
+        if self._bus is not None:
+            threading.Thread(target=self._bus.close, name="close", daemon=True).start()
+        self._supervisor.stop(signal.SIGTERM)
+        self._wait(STOP_SECS, lambda: self._supervisor.finished() or hurried())
+        self._supervisor.stop(signal.SIGTERM, everything=True)
+        self._wait(ROUTER_SECS, lambda: self._supervisor.ended() or hurried())
+        self._supervisor.stop(signal.SIGKILL, everything=True)
+        self._wait(KILL_SECS, self._supervisor.ended)
+
+    def _wait(self, most_secs: float, until: Callable[[], bool]) -> None:
+        deadline_secs = time.monotonic() + most_secs
+        self._supervise()
+        while not until() and time.monotonic() < deadline_secs:
+            time.sleep(BRISK_SECS)
+            self._supervise()
+
+    def _outcome(self, interrupts: Interrupts) -> Outcome:
+        supervisor, completed = self._supervisor, self._picture.done
+        code, sentence = (0, "") if completed else (supervisor.fatal_code, "the processes ended too early")
+        if interrupts.numbers:
+            code, sentence = 128 + interrupts.numbers[0], ""
+        elif self._unconnected:
+            code, sentence = USER_ERROR, self._unconnected
+        elif supervisor.fatal is not None:
+            code, sentence = supervisor.fatal_code, supervisor.fatal
+        return Outcome(
+            code=code,
+            sentence=sentence,
+            completed=completed,
+            scores_secs=(self._done_secs or time.monotonic()) - self._picture.began_secs,
+            cpu_secs=supervisor.cpu_secs(),
+        )
+
+
+def parts_of(folder: RunFolder, settings: RunSettings, address: Address) -> list[Part]:
+    """The processes of a run."""
+    told = ("--run-dir", str(folder.path), "--connect", address.connect)
+
+    def part(name: str, service: str, *more: str) -> Part:
+        return Part(
+            name=name,
+            arguments=("-m", f"services.{service}", *more),
+            log=folder.log(name),
+            expendable=service == "actor",
+            outlasts=service == "router",
+            leads=service == "coordinator",
+        )
+
+    actors = [part(f"actor-{i}", "actor", *told, "--index", str(i)) for i in range(settings.actors.count)]
+    services = [part(name, name, *told) for name in ("coordinator", "encoder_learner", "policy_learner")]
+    return [part("router", "router", "--listen", address.listen), *services, *actors]
