@@ -23,7 +23,7 @@ __all__ = ["Reason", "Refused", "decode", "encode"]
 MAX_TEXT_BYTES = 4 * MAX_REPLY_CHARS
 """The longest text of a header in UTF-8."""
 MAX_NODES = 1 << 14
-"""The most values in a frame, containers and their entries together; a full Status has 8,500."""
+"""The most values in a frame, containers and entries together; the fullest Status has 13,000."""
 
 
 def encode(message: Message) -> bytes:

@@ -43,7 +43,8 @@ class Gate:
 
     def refuse(self, refusal: Refused) -> None:
         """Count a frame that was let through and turned out unwanted after all (stale, duplicate...)."""
-        self.refused[refusal.reason] = self.refused.get(refusal.reason, 0) + 1
+        name = refusal.reason.value
+        self.refused[name] = self.refused.get(name, 0) + 1
         self.last_refusal = clip(str(refusal), MAX_SENTENCE_CHARS)
 
     def _check(self, key: str, message: Message) -> None:

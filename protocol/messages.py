@@ -31,8 +31,6 @@ ALL_BLOCKS = "all"
 MAX_ENTRIES = 256
 """The most entries of a list or map in a header; bounds memory, far above any real use."""
 MAX_REPLY_CHARS = 1 << 18
-NESTED = Field(strict=False)
-"""Lets a nested model be given as a map; its own fields stay strict."""
 
 
 class Phase(StrEnum):
@@ -179,7 +177,7 @@ class PhaseAnnounced(Header):
     iterations: Count = 0
     evaluates: PhaseText | None = None
     """For EVALUATE: the phase whose result is measured."""
-    blocks: Annotated[dict[Name, Annotated[ModelFloor, NESTED]], Field(max_length=MAX_ENTRIES)]
+    blocks: Annotated[dict[Name, ModelFloor], Field(max_length=MAX_ENTRIES)]
     """The blocks at work in this term."""
 
 
@@ -223,8 +221,8 @@ class Status(Header):
     """Model versions held, by "encoder/<block>" and "policy/<block>"."""
     totals: Annotated[dict[Label, Count], Field(max_length=MAX_ENTRIES)] = {}
     """Totals of this life by name: env_steps, segments, updates, resent, stale, dropped..."""
-    progress: Annotated[list[Annotated[Progress, NESTED]], Field(max_length=MAX_ENTRIES)] = []
-    scores: Annotated[list[Annotated[Score, NESTED]], Field(max_length=MAX_ENTRIES)] = []
+    progress: Annotated[list[Progress], Field(max_length=MAX_ENTRIES)] = []
+    scores: Annotated[list[Score], Field(max_length=MAX_ENTRIES)] = []
     """The scores found in this term (EVALUATE)."""
     metrics: Annotated[dict[Label, float], Field(max_length=MAX_ENTRIES)] = {}
     """The newest measurements: losses, rates, lag, memory, CPU seconds."""

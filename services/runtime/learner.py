@@ -6,6 +6,7 @@ run (terms, acknowledgements, checkpoints, status) is here and the same for all 
 
 import json
 import logging
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -278,10 +279,15 @@ class Learner:
             "queue_depth": self._intake.queue_depth,
             "lost": ledger.lost,
             "duplicated": ledger.duplicated,
-            "refused": self._gate.refused | self._control_gate.refused | {"out-of-order": ledger.gaps},
+            "refused": self._refused(),
             "waiting_for": self._waiting(progress),
             "last_error": self._gate.last_refusal,
         }
+
+    def _refused(self) -> dict[str, int]:
+        refused = Counter(self._gate.refused) + Counter(self._control_gate.refused)
+        refused[Reason.OUT_OF_ORDER] += self._intake.ledger.gaps
+        return {str(reason): count for reason, count in refused.items() if count}
 
     def _waiting(self, progress: Sequence[Progress]) -> str:
         if self._announced is None:

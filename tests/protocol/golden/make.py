@@ -1,0 +1,169 @@
+"""The golden messages, and the program that writes their frames.
+
+Run `python -m tests.protocol.golden.make` after adding a message to GOLDEN. It writes what is not
+there yet and never changes a committed frame: if one no longer fits, the protocol has changed, and
+SPEC.md section 7 says what to do.
+"""
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+
+from protocol.codec import encode
+from protocol.messages import (
+    Ack,
+    Command,
+    Message,
+    Model,
+    ModelFloor,
+    Phase,
+    PhaseAnnounced,
+    Progress,
+    Reply,
+    Score,
+    Segment,
+    Status,
+    View,
+)
+
+FOLDER = Path(__file__).parent
+ONNX = bytes(range(16))
+
+
+def ramp(shape: tuple[int, ...], dtype: str) -> np.ndarray:
+    """An array of 0, 1, 2... in a shape."""
+    return np.arange(np.prod(shape)).astype(dtype).reshape(shape)
+
+
+def header(block: str = "body", life: str = "actor-7f3a") -> dict[str, object]:
+    """The fields of every message."""
+    return {"run": "cuboid-1", "term": 3, "block": block, "life": life, "seq": 12}
+
+
+def segment(phase: Phase, arrays: dict[str, np.ndarray], **fields: object) -> Segment:
+    """A segment of 2 steps and 3 columns."""
+    return Segment(
+        **header(),
+        fingerprint="0123456789abcdef",
+        phase=phase,
+        steps=2,
+        columns=3,
+        first_step=64,
+        arrays=arrays,
+        **fields,
+    )
+
+
+GOLDEN: dict[str, Message] = {
+    "segment-babble": segment(
+        Phase.BABBLE,
+        {"observation": ramp((2, 3, 4), "<f4"), "episode": ramp((2, 3), "<i4")},
+        consumer="encoder_learner",
+    ),
+    "segment-practise": segment(
+        Phase.PRACTISE,
+        {
+            **{name: ramp((2, 3, 2), "<f4") for name in ("latent", "next_latent", "goal")},
+            "action": ramp((2, 3, 5), "<f4"),
+            "log_prob": -ramp((2, 3), "<f4"),
+            "truncated": ramp((2, 3), "|u1"),
+            "terminated": np.zeros((2, 3), "|u1"),
+        },
+        consumer="policy_learner",
+        encoder_version=2,
+        policy_version=9,
+        policy="sampled",
+    ),
+    "segment-evaluate": segment(
+        Phase.EVALUATE,
+        {
+            "posture": ramp((4, 3, 6), "<f4"),
+            "latent": ramp((4, 3, 2), "<f4"),
+            "goal": ramp((4, 3), "<i4"),
+        },
+        consumer="policy_learner",
+        policy="mean",
+    ),
+    "ack": Ack(
+        **header(life="policy-0c11"),
+        to="actor-7f3a",
+        consumer="policy_learner",
+        upto=12,
+        granted=16,
+        policy_floor=8,
+        want="sampled",
+    ),
+    "model": Model(
+        **header(life="encoder-55aa"),
+        model="encoder",
+        version=2,
+        encoder_version=2,
+        fingerprint="0123456789abcdef",
+        digest=hashlib.sha256(ONNX).hexdigest(),
+        arrays={"onnx": np.frombuffer(ONNX, np.uint8)},
+    ),
+    "phase": PhaseAnnounced(
+        **header(block="all", life="coordinator-1"),
+        phase=Phase.EVALUATE,
+        level=1,
+        iteration=2,
+        iterations=4,
+        evaluates=Phase.PRACTISE,
+        blocks={"body": ModelFloor(encoder=2, policy=9), "hand": ModelFloor()},
+    ),
+    "status": Status(
+        **header(block="all", life="policy-0c11"),
+        service="policy_learner",
+        phase=Phase.EVALUATE,
+        versions={"policy/body": 9},
+        totals={"segments": 2**53, "updates": 0},
+        progress=[Progress(block="body", done=16, wanted=16, unit="columns", finished=True)],
+        scores=[
+            Score(
+                run="cuboid-1",
+                block="body",
+                iteration=2,
+                phase=Phase.PRACTISE,
+                separation=0.99,
+                separation_worst=0.75,
+                z_min=0.5,
+                z_goal=0.25,
+                switch_success=1.0,
+                crossing=-0.0,
+                policy="mean",
+                steps=8000,
+            )
+        ],
+        metrics={"loss": float("inf"), "rate_per_sec": 1234.5},
+        duplicated=1,
+        refused={"stale": 3},
+        waiting_for="policy_learner: 3 of 16 columns; Überraschung ✓",
+    ),
+    "view": View(
+        **header(),
+        view="latent",
+        env_step=777,
+        title="two latents",
+        arrays={"latent": ramp((3, 2), "<f4"), "goal": ramp((3, 2), "<f4")},
+    ),
+    "command": Command(**header(block="all", life="launcher-1"), id="q1", name="describe"),
+    "reply": Reply(**header(block="all", life="coordinator-1"), id="q1", ok=True, text="all is well"),
+}
+
+
+def path(name: str) -> Path:
+    """Where the frame of a golden message is kept."""
+    return FOLDER / f"{name}.bin"
+
+
+def main() -> None:
+    """Write the frames that are missing."""
+    for name, message in GOLDEN.items():
+        if not path(name).exists():
+            path(name).write_bytes(encode(message))
+            print(f"wrote {path(name).name}")
+
+
+if __name__ == "__main__":
+    main()
