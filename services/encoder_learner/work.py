@@ -26,7 +26,7 @@ class EncoderWork:
         self.block = config.block
         self._config = config
         self._memory = ExperienceMemory()
-        # Made at once: the first optimiser of a process costs torch 5 s, which pass while actors babble.
+        # Made at once: a process's first optimiser costs torch seconds, which pass while actors babble.
         self._trainer = _new_trainer(config)
         self._scaled = False
         self._phase: Phase | None = None

@@ -86,7 +86,7 @@ def score_table(rows: Sequence[Row], *, newest: int | None = None) -> list[str]:
 
 def best_words(best: Mapping[str, Row]) -> list[str]:
     """Which iteration is kept, and why."""
-    return [f"best of {block}: iteration {row['iteration']}; {row['reason']}" for block, row in best.items()]
+    return [f"best of {block}: {row['reason']}" for block, row in best.items()]
 
 
 def cpu_table(cpu_secs: Mapping[str, float]) -> list[str]:
@@ -170,14 +170,16 @@ def _members(picture: Picture, now_secs: float, width: int, signs: Signs) -> lis
 
 def _actor(member: Member, now_secs: float) -> Line:
     if member.lost_secs is not None:
-        return ((f"{member.life:<22}", ""), (f"{'lost':>9}", "red"))
+        return ((f"{member.life:<22}", ""), (f"{_state(member):>9}", "" if member.went_in_order else "red"))
     rate = member.speed.per_sec(now_secs)
     words = f"{rate:>9,.0f} steps/s" if rate else f"{'alive':>9}"
     return ((f"{member.life:<22}", ""), (words, "green"))
 
 
 def _state(member: Member) -> str:
-    return "alive" if member.lost_secs is None else "lost"
+    if member.lost_secs is None:
+        return "alive"
+    return "left" if member.went_in_order else "lost"
 
 
 def _total_rate(picture: Picture, now_secs: float) -> float:

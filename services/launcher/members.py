@@ -48,6 +48,8 @@ class Member:
     service: str
     lost_secs: float | None = None
     """when it went, None while it is alive"""
+    went_in_order: bool = False
+    """it went after the run was done, as it should"""
     status: Status | None = None
     speed: Speed = field(default_factory=Speed)
     """environment steps"""
@@ -151,6 +153,7 @@ class Picture:
         if now_secs >= self._linked_secs + RETURN_SECS:
             for life in [life for life, secs in self._gone.items() if now_secs >= secs + DOUBT_SECS]:
                 self._members[life].lost_secs = self._gone.pop(life)
+                self._members[life].went_in_order = self.done
                 self.news.append(f"{life} {'has left' if self.done else 'is lost'}")
         old = [
             m.life for m in self._members.values() if now_secs - (m.lost_secs or now_secs) > SHOW_LOST_SECS

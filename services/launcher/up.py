@@ -68,8 +68,8 @@ def _conclude(folder: RunFolder, outcome: Outcome) -> int:
     cpu_secs = {**outcome.cpu_secs, "launcher": time.process_time()}
     folder.finish({"scores_secs": round(outcome.scores_secs, 2), "cpu_secs": _rounded(cpu_secs)})
     _print_scores(folder)
-    print(f"\n{outcome.scores_secs:.1f} s from the start of the processes to the scores; CPU seconds:")
-    print("\n".join(cpu_table(cpu_secs)), flush=True)
+    print(f"\n{outcome.scores_secs:.1f} s from the start of the processes to the scores")
+    print("CPU seconds:", *cpu_table(cpu_secs), sep="\n", flush=True)
     from services.launcher.report import write_report
 
     report = write_report(folder.path)

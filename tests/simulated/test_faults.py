@@ -107,3 +107,22 @@ def test_an_actor_cut_off_for_a_while_comes_back_and_nothing_of_it_counts_twice(
     simulation.until_all_ended()
     assert "actor-0" in simulation.ended
     assert_complete_and_exact(simulation)
+
+
+@pytest.mark.parametrize("phase", ["ground", "refine", "practise"])
+@pytest.mark.parametrize("learner", ["encoder_learner", "policy_learner"])
+def test_a_learner_whose_newest_checkpoint_is_truncated_goes_on_from_the_one_before(
+    tiny: RunSettings, simulate: Simulate, learner: str, phase: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    simulation = simulate(tiny)
+    simulation.start_all(actors=2)
+    simulation.until(lambda: phase_of(simulation.run_dir) == phase)
+    for _ in range(3):
+        simulation.round()
+    simulation.crash(f"{learner}-0")
+    newest = max((simulation.run_dir / "checkpoints" / learner).glob("*.checkpoint"))
+    newest.write_bytes(newest.read_bytes()[:-10])
+    simulation.start(learner, f"{learner}-reborn")
+    assert f"skipping the damaged checkpoint {newest}" in caplog.text
+    simulation.until_all_ended()
+    assert_complete_and_exact(simulation)

@@ -85,7 +85,7 @@ def test_status_tells_phase_members_and_scores() -> None:
         "waiting": "waiting for policy_learner",
         "members": [{"life": "actor-1", "totals": {"env_steps": 1234}, "versions": {"encoder/body": 2}}],
         "scores": [{**row, "switch_success": 1.0, "crossing": None}],
-        "best": [{"block": "body", "iteration": 0, "reason": "nearest"}],
+        "best": [{"block": "body", "iteration": 0, "reason": "iteration 0 is nearest"}],
     }
     lines = status_lines(told)
     assert lines[:2] == [
@@ -95,4 +95,4 @@ def test_status_tells_phase_members_and_scores() -> None:
     assert any(
         line.startswith("actor-1 ") and line.endswith("1,234 steps; encoder/body v2") for line in lines
     )
-    assert lines[-1] == "best of body: iteration 0; nearest"
+    assert lines[-1] == "best of body: iteration 0 is nearest"

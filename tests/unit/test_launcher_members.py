@@ -39,6 +39,16 @@ def test_a_member_that_goes_is_lost_and_later_forgotten() -> None:
     assert len(seen.members()) == 2
 
 
+def test_a_member_that_goes_after_the_run_is_done_has_left() -> None:
+    seen = picture()
+    seen.hear_phase(announced(3, Phase.DONE))
+    seen.news.clear()
+    seen.vanished("actor-1", 5.0)
+    seen.settle(5.5)
+    assert list(seen.news) == ["actor-1 has left"]
+    assert [member.life for member in seen.members() if member.went_in_order] == ["actor-1"]
+
+
 def test_when_the_own_link_goes_no_member_is_lost() -> None:
     seen = picture()
     for life in ("actor-1", "actor-2", "coordinator-1"):

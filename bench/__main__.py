@@ -1,0 +1,71 @@
+"""`python -m bench [actor] [end_to_end] [footprint] [--markdown] [--quick]`."""
+
+import argparse
+import os
+import platform
+from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
+from importlib.metadata import version
+
+os.environ["OMP_NUM_THREADS"] = "1"
+
+from bench import actor, end_to_end, footprint
+from bench.bytecode import compiled
+from bench.tables import Table
+
+BENCHMARKS: Mapping[str, tuple[Callable[[], list[Table]], Callable[[], list[Table]]]] = {
+    "actor": (
+        actor.measure,
+        lambda: actor.measure(steps=4096, repetitions=2, process_secs=2.0),
+    ),
+    "end_to_end": (
+        end_to_end.measure,
+        lambda: end_to_end.measure(repetitions=1, iterations=0, rivals=list(end_to_end.RIVALS)[:1]),
+    ),
+    "footprint": (
+        footprint.measure,
+        lambda: footprint.measure(repetitions=1, segments=10),
+    ),
+}
+"""Each as it is, and quickly, to see that it works."""
+PACKAGES = ("torch", "stable_baselines3", "onnxruntime", "numpy", "gymnasium", "eclipse-zenoh")
+
+
+def main() -> None:
+    """Run what was asked for and print its tables."""
+    parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__)
+    parser.add_argument(
+        "what", nargs="*", metavar="WHAT", help=f"any of {', '.join(BENCHMARKS)} (default: all)"
+    )
+    parser.add_argument("--markdown", action="store_true", help="print tables for docs/benchmarks.md")
+    parser.add_argument("--quick", action="store_true", help="see that it works; the numbers mean nothing")
+    given = parser.parse_args()
+    if unknown := [name for name in given.what if name not in BENCHMARKS]:
+        parser.error(f"there is no benchmark {unknown[0]!r}; choose from {', '.join(BENCHMARKS)}")
+    print(_here(), end="\n\n", flush=True)
+    with compiled():
+        for name in given.what or BENCHMARKS:
+            for table in BENCHMARKS[name][given.quick]():
+                print(table.markdown() if given.markdown else table.plain(), flush=True)
+
+
+def _here() -> str:
+    """When, where and with what, in one line."""
+    cores = len(os.sched_getaffinity(0))
+    load = os.getloadavg()[0]
+    packages = ", ".join(f"{name} {version(name)}" for name in PACKAGES)
+    when = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+    python = platform.python_version()
+    return f"{when}; {_processor()}, {cores} cores, load {load:.2f}; Python {python}, {packages}"
+
+
+def _processor() -> str:
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as lines:
+            return next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        return platform.machine()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,64 @@
+"""What is benchmarked: the cuboid scenario as shipped, with models as the learners publish them."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from babble.encoder.export import export_encoder
+from babble.encoder.network import Encoder
+from babble.policy.export import export_policy
+from babble.policy.ppo import GoalPPO
+from babble.worlds import make
+from babble.worlds.batch import World
+from services.runtime.models import ModelOffer
+from services.runtime.settings import RunSettings, load
+
+ROOT = Path(__file__).resolve().parents[1]
+RUN = "bench"
+
+
+def cuboid(**sections: dict[str, Any]) -> RunSettings:
+    """The shipped scenario; each keyword replaces a section of it."""
+    return load(ROOT / "scenarios" / "cuboid.toml", **sections)
+
+
+def write_run_folder(folder: Path, settings: RunSettings) -> None:
+    """What the processes of a run read when they start."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "run.json").write_text(json.dumps({"run": RUN}))
+    (folder / "config.toml").write_text(tomli_w.dumps(settings.model_dump(mode="json", exclude_none=True)))
+
+
+def world_of(settings: RunSettings, columns: int) -> World:
+    """That many copies of the run's world."""
+    return make(settings.world.id, settings.world.parameters, columns=columns, seed=0)
+
+
+def encoder_of(settings: RunSettings) -> Encoder:
+    """An untrained encoder of the run's sizes; what it computes does not change what it costs."""
+    size = world_of(settings, 1).observation_size
+    return Encoder(size, settings.block[0].latent_dim, hidden=settings.encoder.hidden, seed=settings.seed)
+
+
+def offers_of(settings: RunSettings) -> Sequence[ModelOffer]:
+    """Version 1 of the encoder and of the policy."""
+    ppo = GoalPPO(
+        settings.block[0].latent_dim,
+        world_of(settings, 1).action_size,
+        hidden=tuple(settings.policy.hidden),
+        log_std=settings.policy.log_std,
+        seed=settings.seed,
+    )
+    return [
+        ModelOffer(
+            kind="encoder",
+            version=1,
+            encoder_version=1,
+            onnx=export_encoder(encoder_of(settings)),
+            keep=False,
+        ),
+        ModelOffer(kind="policy", version=1, encoder_version=1, onnx=export_policy(ppo), keep=False),
+    ]
