@@ -25,10 +25,9 @@ DEADLINE_SECS = 120
 
 def main() -> int:
     """Make the environment; returns the exit code."""
-    if sys.version_info < (3, 11):  # noqa: UP036 - this runs before any requirement was checked
-        return _refuse(
-            f"Babble needs Python 3.11 or newer; this is {platform.python_version()} ({sys.executable})"
-        )
+    if not (3, 11) <= sys.version_info < (3, 14):
+        found = f"this is {platform.python_version()} ({sys.executable})"
+        return _refuse(f"Babble needs Python 3.11, 3.12 or 3.13; {found}; try `make setup PYTHON=python3.11`")
     uv = VENV / "bin" / "uv"
     if not (VENV / "bin" / "python").exists():
         venv.create(VENV, with_pip=False, symlinks=True)

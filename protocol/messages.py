@@ -123,7 +123,7 @@ class Segment(WithArrays):
     phase: PhaseText
     encoder_version: Count = 0
     policy_version: Count = 0
-    """The oldest policy version that acted in this segment."""
+    """The policy version that acted in this segment."""
     policy: Literal["random", "sampled", "mean"] = "random"
     steps: Annotated[int, Field(ge=1, le=2**20)]
     columns: Annotated[int, Field(ge=1, le=2**16)]

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from babble.policy.act import EncoderModel, ModelError, PolicyModel
+from protocol.latest import LatestModel
 from protocol.messages import Model, ModelFloor
 
 
@@ -26,8 +27,7 @@ class ModelShelf:
 
     def __init__(self, blocks: Iterable[str]) -> None:
         self._held = {block: Held() for block in blocks}
-        self.stale = 0
-        """Models that were not newer than the one held."""
+        self._latest = LatestModel()
         self.unusable = 0
         """Models that ONNX Runtime or the interface refused."""
         self.last_error = ""
@@ -35,11 +35,7 @@ class ModelShelf:
     def admit(self, model: Model) -> bool:
         """Hold a model if it is newer and usable."""
         held = self._held.get(model.block)
-        if held is None:
-            return False
-        current = held.encoder_version if model.model == "encoder" else held.policy_version
-        if model.version <= current:
-            self.stale += 1
+        if held is None or not self._latest.admit(model):
             return False
         onnx = model.arrays["onnx"].tobytes()
         try:
@@ -53,6 +49,11 @@ class ModelShelf:
             return False
         self._held[model.block] = held
         return True
+
+    @property
+    def stale(self) -> int:
+        """Models that were not newer than the newest heard."""
+        return self._latest.stale
 
     def of(self, block: str) -> Held:
         """What the block acts with now."""

@@ -104,6 +104,11 @@ class Outbox:
         """Segments sent again, in total."""
         return sum(stream.window.resent for stream in self._streams.values())
 
+    @property
+    def ignored_acks(self) -> int:
+        """Acknowledgements that went back or spoke of what was never sent, in total."""
+        return sum(stream.window.ignored_acks for stream in self._streams.values())
+
     def _publish(self, consumer: str, block: str, frame: bytes) -> None:
         self._bus.publish("segment", keys.segment(self._run, consumer, block, self._life), frame)
 

@@ -8,7 +8,7 @@ import numpy as np
 from protocol import keys
 from protocol.gate import Gate
 from protocol.latest import LatestPhase
-from protocol.messages import Ack, Model, Phase, PhaseAnnounced
+from protocol.messages import Ack, Model, ModelFloor, Phase, PhaseAnnounced
 from services.actor.collect import Collector, EvaluationCollector, SegmentCollector, ways_of
 from services.actor.config import body_of, seeds_of
 from services.actor.models import ModelShelf
@@ -58,6 +58,7 @@ class Actor:
         self._collector: Collector | None = None
         self._env_steps = 0
         self._stopping = False
+        self._waiting_for = ""
         self._urgent = True
         self._inbox = Inbox(context.wakeup, max_frames=keys.DELIVERY["ack"].keep)
         bus = context.bus
@@ -110,6 +111,7 @@ class Actor:
         if self._collector is not None:
             self._env_steps += self._collector.env_steps
         self._announced = announced
+        self._waiting_for = ""
         self._collector = self._new_collector(announced)
         self._urgent = True
 
@@ -140,19 +142,32 @@ class Actor:
         return True
 
     def _may_begin(self, announced: PhaseAnnounced, collector: Collector) -> bool:
-        """True if some block's next segment is granted and every granted block's models are recent enough."""
-        wanted = False
+        """True if some block's next segment is granted and all blocks' models are recent enough.
+
+        The blocks act in the same worlds, so all of them need their models, granted or not.
+        """
+        self._waiting_for = ""
+        grants = {
+            block: self._outbox.grant(announced.phase, announced.term, block) for block in announced.blocks
+        }
         for block, floor in announced.blocks.items():
-            ack = self._outbox.grant(announced.phase, announced.term, block)
-            if ack is None:
-                continue
+            ack = grants[block]
+            needed = ModelFloor(
+                encoder=floor.encoder, policy=max(floor.policy, ack.policy_floor if ack else 0)
+            )
             held = self._shelf.of(block)
-            if not held.meets(floor) or held.policy_version < ack.policy_floor:
+            if not held.meets(needed):
+                self._waiting_for = (
+                    f"encoder {needed.encoder} and policy {needed.policy} of {block}; "
+                    f"it has {held.encoder_version} and {held.policy_version}"
+                )
                 return False
-            if isinstance(collector, EvaluationCollector):
-                collector.mode = ack.want
-            wanted = True
-        return wanted
+        granted = [ack for ack in grants.values() if ack is not None]
+        if not granted:
+            self._waiting_for = f"a grant of {CONSUMER_OF[announced.phase]}"
+        elif isinstance(collector, EvaluationCollector):
+            collector.mode = granted[0].want
+        return bool(granted)
 
     def _report(self) -> dict[str, Any]:
         announced, collector = self._announced, self._collector
@@ -168,11 +183,12 @@ class Actor:
                 "unwanted": self._outbox.unwanted,
                 "stale_models": self._shelf.stale,
                 "unusable_models": self._shelf.unusable,
+                "ignored_acks": self._outbox.ignored_acks,
                 "inbox_dropped": self._inbox.dropped,
             },
             "queue_depth": self._outbox.unacknowledged,
             "refused": dict(self._gate.refused),
-            "waiting_for": "" if announced is not None else "a coordinator's announcement",
+            "waiting_for": self._waiting_for if announced is not None else "a coordinator's announcement",
             "last_error": self._shelf.last_error or self._gate.last_refusal,
         }
 

@@ -65,9 +65,12 @@ def check_world(settings: RunSettings, *, origin: str) -> None:
 
     try:
         world = make(settings.world.id, settings.world.parameters, columns=1, seed=0)
-        BlockTree.of(settings.block, world.observation_size, world.action_size)
+        tree = BlockTree.of(settings.block, world.observation_size, world.action_size)
     except (ValueError, TypeError) as error:
         raise SettingsError(f"{origin}: {error}") from None
+    if tree.levels > 1:
+        parents = ", ".join(spec.name for spec in tree.level(1))
+        raise SettingsError(f"{origin}: block {parents} has children, and such blocks cannot act yet")
 
 
 def address_of(listen: str | None) -> Address:

@@ -19,6 +19,7 @@ from services.runtime.errors import BusError
 from services.runtime.settings import SettingsError
 
 OLDEST_PYTHON = (3, 11)
+TOO_NEW_PYTHON = (3, 14)
 LEAST_DISK_BYTES = 200 << 20
 LEAST_MEMORY_BYTES = 2 << 30
 """Both learners need about 0.7 GB each, nearly all of it torch."""
@@ -81,7 +82,9 @@ def packages(extra: str, names: Iterable[str], version_of: Callable[[str], str |
     """Whether the packages of an extra are there."""
     versions = {name: version_of(name) for name in names}
     if missing := [name for name, version in versions.items() if version is None]:
-        what_to_do = f"install it with: pip install 'babble[{extra}]', or `make setup` in the repository"
+        what_to_do = (
+            f"install it with `make setup`, or `.venv/bin/uv sync --locked --inexact --extra {extra}`"
+        )
         return Finding(what=extra, text=f"without {', '.join(missing)}; {what_to_do}", good=False)
     return Finding(
         what=extra, text=", ".join(f"{name} {version}" for name, version in versions.items()), good=True
@@ -89,11 +92,10 @@ def packages(extra: str, names: Iterable[str], version_of: Callable[[str], str |
 
 
 def _python() -> Finding:
-    oldest = ".".join(map(str, OLDEST_PYTHON))
-    good = sys.version_info >= OLDEST_PYTHON
+    good = OLDEST_PYTHON <= sys.version_info < TOO_NEW_PYTHON
     text = f"{platform.python_version()} at {sys.executable}"
     return Finding(
-        what="python", text=text if good else f"{text}; install Python {oldest} or newer", good=good
+        what="python", text=text if good else f"{text}; install Python 3.11, 3.12 or 3.13", good=good
     )
 
 

@@ -121,7 +121,7 @@ def _train_control(opened: Run, block: str, seed: int) -> Models:
             raise
         raise RunError(
             f"the control trains a policy and needs {error.name}, which is not installed here; "
-            "install the extra: pip install 'babble[learner]'"
+            "install it with `make setup`, or `.venv/bin/uv sync --locked --inexact --extra learner`"
         ) from None
     settings, phases = opened.settings, opened.settings.phases
     world = opened.world(settings.policy.rollout_columns, [seed, 6, 2])

@@ -4,7 +4,7 @@ Order matters: judge (ledger), keep (spool, synced), use, acknowledge. A learner
 point finds in its spool whatever it had acknowledged since its checkpoint.
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Literal
 
 from protocol import keys
@@ -12,6 +12,7 @@ from protocol.codec import decode, encode
 from protocol.gate import Gate
 from protocol.ledger import Ledger, Verdict
 from protocol.messages import Ack, Segment
+from protocol.refusal import Reason, Refused
 from services.runtime.allotment import Allotment
 from services.runtime.bus import Bus, Frame, Inbox, Membership, Wakeup
 from services.runtime.spool import Spool
@@ -26,11 +27,21 @@ class Intake:
     """Hears the segments meant for one consumer, and says to each sender what is held and wanted."""
 
     def __init__(
-        self, bus: Bus, gate: Gate, *, consumer: str, run: str, life: str, spool: Spool, wakeup: Wakeup
+        self,
+        bus: Bus,
+        gate: Gate,
+        *,
+        consumer: str,
+        blocks: Collection[str],
+        run: str,
+        life: str,
+        spool: Spool,
+        wakeup: Wakeup,
     ) -> None:
         self._bus = bus
         self._gate = gate
         self._consumer = consumer
+        self._blocks = frozenset(blocks)
         self._run = run
         self._life = life
         self._spool = spool
@@ -115,6 +126,10 @@ class Intake:
     def _judge(self, key: str, data: bytes) -> Segment | None:
         segment = self._gate.admit(key, data)
         if not isinstance(segment, Segment):
+            return None
+        if segment.block not in self._blocks:
+            sentence = f"{segment.life} sent a segment of block {segment.block!r}, which is not learned here"
+            self._gate.refuse(Refused(Reason.UNEXPECTED, sentence))
             return None
         verdict = self.ledger.judge(segment.life, segment.block, segment.seq)
         if verdict is not Verdict.NEW:

@@ -74,6 +74,7 @@ class Learner:
             context.bus,
             self._gate,
             consumer=service,
+            blocks=self._works,
             run=context.run,
             life=context.life,
             spool=self._spool,
@@ -252,8 +253,9 @@ class Learner:
             replayed += 1
             self._received += 1
             self._use(segment)
-            while self._works[segment.block].advance():
-                pass
+            for work in self._works.values():
+                while work.advance():
+                    pass
         log.info("resumed checkpoint %d and %d segments from the spool", self._generation, replayed)
         self._publish_models()
 
@@ -285,8 +287,12 @@ class Learner:
         }
 
     def _refused(self) -> dict[str, int]:
+        ledger = self._intake.ledger
         refused = Counter(self._gate.refused) + Counter(self._control_gate.refused)
-        refused[Reason.OUT_OF_ORDER] += self._intake.ledger.gaps
+        refused[Reason.DUPLICATE] += ledger.duplicated
+        refused[Reason.OUT_OF_ORDER] += ledger.gaps
+        refused[Reason.NO_ROOM] += ledger.turned_away
+        refused[Reason.STALE] += self._stale + self._latest.stale
         return {str(reason): count for reason, count in refused.items() if count}
 
     def _waiting(self, progress: Sequence[Progress]) -> str:
@@ -297,4 +303,6 @@ class Learner:
             return ""
         first = owed[0]
         amount = f"{first.done:,} of {first.wanted:,} {first.unit}"
-        return f"experience of {first.block}: {amount}; actors here: {len(self._known)}"
+        overdue = self._allotments[first.block].overdue(self._context.clock.now_secs())
+        late = f"; overdue: {', '.join(overdue)}" if overdue else ""
+        return f"experience of {first.block}: {amount}; actors here: {len(self._known)}{late}"

@@ -169,7 +169,10 @@ def _run(
     from services.runtime.zenoh_bus import ZenohBus
 
     run = read_run_name(arguments.run_dir)
-    run_settings = settings.load(arguments.run_dir / "config.toml")
+    run_settings = settings.load(arguments.config or arguments.run_dir / "config.toml")
+    if arguments.print_config:
+        print(run_settings.model_dump_json(indent=2))
+        return
     clock, wakeup = RealClock(), Wakeup()
     log.info("connecting to the router at %s", arguments.connect)
     bus = ZenohBus(arguments.connect, life, wakeup, run_settings.wire.connect_secs)
@@ -201,6 +204,10 @@ def _parse(service: str, argv: Sequence[str] | None) -> argparse.Namespace:
     )
     parser.add_argument(
         "--run-dir", type=Path, required=True, help="the run's folder, with run.json and config.toml"
+    )
+    parser.add_argument("--config", type=Path, help="the settings (default: config.toml in the run's folder)")
+    parser.add_argument(
+        "--print-config", action="store_true", help="print all settings as JSON and end; needs no router"
     )
     parser.add_argument(
         "--connect",

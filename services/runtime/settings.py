@@ -45,7 +45,7 @@ class BlockSettings(Section):
     drives: list[int] | None = None
     """Indices of the world's action; None for all of it."""
     children: list[Name] = []
-    """Blocks of the level below whose latents it observes and whose goals it sets (Hi-Composer)."""
+    """Blocks below whose latents it observes and whose goals it sets (Hi-Composer); they cannot act yet."""
 
 
 class ActorSettings(Section):
@@ -101,7 +101,7 @@ class EncoderSettings(Section):
     batch: Annotated[int, Field(ge=2)] = 128
     similarity: Literal["l2", "cosine", "dot"] = "l2"
     encode: FitSettings = FitSettings()
-    refine: FitSettings = FitSettings(updates=300, window_steps=8, temperature=0.2)
+    refine: FitSettings = FitSettings(updates=300, window_steps=8, temperature=0.15)
     blend: Fraction = 1.0
     """lambda of eq. 13; 1 is the thesis's alternative, a warm start without mixing"""
 

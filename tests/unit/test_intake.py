@@ -47,8 +47,8 @@ class Stage:
         self.spool = ToldSpool(folder)
         self.gate = Gate("r", {"segment"}, fingerprint=FINGERPRINT)
         self.intake = Intake(
-            hub.connect("learner-1"), self.gate, consumer="encoder_learner", run="r", life="learner-1",
-            spool=self.spool, wakeup=Wakeup(),
+            hub.connect("learner-1"), self.gate, consumer="encoder_learner", blocks=["body"], run="r",
+            life="learner-1", spool=self.spool, wakeup=Wakeup(),
         )  # fmt: skip
         self.actor = hub.connect("actor-1")
         self.actor.announce(keys.alive("r", "actor", "actor-1"))
@@ -57,9 +57,9 @@ class Stage:
         self.allotment = Allotment(columns_per_segment=2, window=4, patience_secs=10.0)
 
     def send(self, seq: int, **changes: Any) -> None:
-        fields: dict[str, Any] = {"fingerprint": FINGERPRINT, "run": "r"} | changes
+        fields: dict[str, Any] = {"fingerprint": FINGERPRINT, "run": "r", "block": "body"} | changes
         segment = Segment(
-            term=1, block="body", life="actor-1", seq=seq, consumer="encoder_learner", phase=Phase.BABBLE,
+            term=1, life="actor-1", seq=seq, consumer="encoder_learner", phase=Phase.BABBLE,
             steps=3, columns=2, first_step=3 * seq,
             arrays={
                 "observation": np.full((3, 2, 1), seq, np.float32),
@@ -68,7 +68,7 @@ class Stage:
             **fields,
         )  # fmt: skip
         self.actor.publish(
-            "segment", keys.segment("r", "encoder_learner", "body", "actor-1"), encode(segment)
+            "segment", keys.segment("r", "encoder_learner", segment.block, "actor-1"), encode(segment)
         )
 
     def acks(self, now_secs: float = 0.0) -> list[tuple[int, int]]:
@@ -126,7 +126,11 @@ def test_grants_follow_the_demand(stage: Stage) -> None:
 
 @pytest.mark.parametrize(
     ("changes", "reason"),
-    [({"run": "other"}, "foreign-run"), ({"fingerprint": "f" * 16}, "wrong-fingerprint")],
+    [
+        ({"run": "other"}, "foreign-run"),
+        ({"fingerprint": "f" * 16}, "wrong-fingerprint"),
+        ({"block": "ghost"}, "unexpected"),
+    ],
 )
 def test_a_stranger_is_refused_and_counted(stage: Stage, changes: dict[str, str], reason: str) -> None:
     stage.send(0, **changes)
