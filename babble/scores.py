@@ -148,17 +148,15 @@ def walk_blocks(
     }
     observation = world.reset("random")
     start = world.posture()
+    postures: list[Floats] = []
     ends: dict[str, list[tuple[Floats, NDArray[np.int32]]]] = {block: [] for block in walkers}
-    postures = []
     for _ in range(legs):
         goals = {block: (clock.index.astype(np.int32), clock.goal) for block, clock in clocks.items()}
         for _ in range(leg_steps):
-            action = np.zeros((world.columns, world.action_size), np.float32)
-            for block, walker in walkers.items():
-                latent = walker.encoder.latent(observation[:, walker.observed])
-                action[:, walker.driven], _ = walker.policy.act(latent, goals[block][1], rng, mode)
-                clocks[block].tick()
+            action = _acted(world, walkers, observation, {b: g for b, (_, g) in goals.items()}, rng, mode)
             observation = world.step(action).observation
+            for clock in clocks.values():
+                clock.tick()
         postures.append(world.posture())
         for block, walker in walkers.items():
             ends[block].append((walker.encoder.latent(observation[:, walker.observed]), goals[block][0]))
@@ -171,6 +169,22 @@ def walk_blocks(
         )
         for block, reached in ends.items()
     }
+
+
+def _acted(
+    world: World,
+    walkers: Mapping[str, Walker],
+    observation: Floats,
+    goals: Mapping[str, Floats],
+    rng: np.random.Generator,
+    mode: Literal["sampled", "mean"],
+) -> Floats:
+    """The action (E, a) of all blocks together; what no block drives stays at 0."""
+    action = np.zeros((world.columns, world.action_size), np.float32)
+    for block, walker in walkers.items():
+        latent = walker.encoder.latent(observation[:, walker.observed])
+        action[:, walker.driven], _ = walker.policy.act(latent, goals[block], rng, mode)
+    return action
 
 
 def _apart(

@@ -120,6 +120,14 @@ class Ledger:
         if life in self._lives:
             self._gone.setdefault(life)
 
+    def remember(self, life: str) -> None:
+        """The life is there after all: what it misses is not lost, and its memory is kept."""
+        self._gone.pop(life, None)
+
+    def lives(self) -> list[str]:
+        """All lives remembered, the gone ones too."""
+        return list(self._lives)
+
     def state(self) -> dict[str, Any]:
         """The whole book as plain JSON-able data, for `restore`."""
         return {

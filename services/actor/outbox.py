@@ -5,9 +5,11 @@ from dataclasses import dataclass
 from protocol import keys
 from protocol.codec import encode
 from protocol.messages import Ack, Phase, Segment
+from protocol.refusal import Refused
 from protocol.window import SendWindow
 from services.actor.collect import Finished
 from services.runtime.bus import Bus
+from services.runtime.settings import SettingsError
 
 CONSUMER_OF = {
     Phase.BABBLE: "encoder_learner",
@@ -83,7 +85,12 @@ class Outbox:
             first_step=finished.first_step,
             arrays=finished.arrays,
         )
-        frame = encode(segment)
+        try:
+            frame = encode(segment)
+        except Refused as refused:
+            raise SettingsError(
+                f"actors.segment_steps and actors.envs_per_actor are too large: {refused}"
+            ) from None
         stream.window.sent(segment.seq, frame, now_secs)
         self.segments += 1
         self._publish(consumer, finished.block, frame)

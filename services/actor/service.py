@@ -60,13 +60,9 @@ class Actor:
         self._stopping = False
         self._waiting_for = ""
         self._urgent = True
-        self._inbox = Inbox(context.wakeup, max_frames=keys.DELIVERY["ack"].keep)
-        bus = context.bus
-        bus.subscribe("phase", keys.phase(context.run), self._inbox)
-        bus.subscribe("ack", keys.ack(context.run, context.life, "*"), self._inbox)
-        bus.subscribe("model", keys.model(context.run, "*", "*"), self._inbox)
+        self._inbox = _listening(context)
         self._heart = Heart(
-            bus,
+            context.bus,
             run=context.run,
             service=SERVICE,
             life=context.life,
@@ -166,7 +162,9 @@ class Actor:
         if not granted:
             self._waiting_for = f"a grant of {CONSUMER_OF[announced.phase]}"
         elif isinstance(collector, EvaluationCollector):
-            collector.mode = granted[0].want
+            # Blocks may be at different halves of their evaluation; the mean actions come first.
+            wants = {ack.want for ack in granted}
+            collector.mode = "mean" if "mean" in wants else "sampled"
         return bool(granted)
 
     def _report(self) -> dict[str, Any]:
@@ -191,6 +189,14 @@ class Actor:
             "waiting_for": self._waiting_for if announced is not None else "a coordinator's announcement",
             "last_error": self._shelf.last_error or self._gate.last_refusal,
         }
+
+
+def _listening(context: Context) -> Inbox:
+    inbox = Inbox(context.wakeup, max_frames=keys.DELIVERY["ack"].keep)
+    context.bus.subscribe("phase", keys.phase(context.run), inbox)
+    context.bus.subscribe("ack", keys.ack(context.run, context.life, "*"), inbox)
+    context.bus.subscribe("model", keys.model(context.run, "*", "*"), inbox)
+    return inbox
 
 
 def build(context: Context) -> Actor:

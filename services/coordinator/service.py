@@ -83,6 +83,7 @@ class CoordinatorService:
             interval_secs=context.settings.wire.status_secs,
         )
         self._heard: dict[str, Status] = {}
+        self._decided: dict[str, tuple[float, object]] = {}
         self._begun = self._stop_asked = self._ended = False
         self._announced_secs = float("-inf")
         self._announcements = self._replies = 0
@@ -166,7 +167,17 @@ class CoordinatorService:
                     self._heard[status.life] = status
                 if status.service in LEARNERS:
                     self._files.add_metrics(now_secs, status)
-                self._decide(status_reported(now_secs, status))
+                if self._is_worth_deciding(status, now_secs):
+                    self._decide(status_reported(now_secs, status))
+
+    def _is_worth_deciding(self, status: Status, now_secs: float) -> bool:
+        """False for mere progress said again too soon: each change of the state is written and synced."""
+        gist = (status.term, tuple(p.finished for p in status.progress), len(status.scores))
+        secs, last = self._decided.get(status.life, (float("-inf"), None))
+        if gist == last and now_secs - secs < self._settings.wire.status_secs:
+            return False
+        self._decided[status.life] = (now_secs, gist)
+        return True
 
     def _decide(self, event: Event) -> None:
         before = self._state
@@ -217,6 +228,7 @@ class CoordinatorService:
         for life in sorted(old.keys() - new.keys()):
             self._files.note(now_secs, "lost", f"{life} ({old[life]}) is gone")
             self._heard.pop(life, None)
+            self._decided.pop(life, None)
 
     def _answer(self, question: Question, now_secs: float) -> None:
         """A stop is in the journal before it is answered; asking it again changes nothing."""

@@ -13,7 +13,7 @@ from babble.memory import ExperienceMemory
 from protocol.messages import Phase, PhaseAnnounced, Progress, Score, Segment
 from services.encoder_learner.config import COLLECTS, FITS, EncoderWorkConfig
 from services.runtime.intake import Want
-from services.runtime.models import ModelOffer
+from services.runtime.models import ModelKind, ModelOffer
 
 UPDATES_PER_QUANTUM = 25
 """Updates between two looks at the inbox: some 50 ms."""
@@ -21,6 +21,8 @@ UPDATES_PER_QUANTUM = 25
 
 class EncoderWork:
     """The `Work` of one encoder."""
+
+    kind: ModelKind = "encoder"
 
     def __init__(self, config: EncoderWorkConfig) -> None:
         self.block = config.block
@@ -34,6 +36,8 @@ class EncoderWork:
         self._updates_done = 0
         self._updates_total = 0
         self._fitted = False
+        self._parts: dict[str, tuple[int, int]] = {}
+        """By life: the stream it is in, and the step that follows in it."""
         self._offer: ModelOffer | None = None
         self._metrics: dict[str, float] = {}
 
@@ -42,6 +46,7 @@ class EncoderWork:
         self._phase = announced.phase
         if announced.phase in COLLECTS:
             self._memory.clear()
+            self._parts.clear()
         elif announced.phase in FITS:
             fit = self._config.fit(announced.phase)
             self._updates_done = 0
@@ -55,8 +60,20 @@ class EncoderWork:
         """Add observations; anything beyond what the phase wants is still welcome."""
         if self._phase not in COLLECTS or "observation" not in segment.arrays:
             return False
-        self._memory.extend(segment.life, segment.arrays["observation"], segment.arrays["episode"])
+        self._memory.extend(self._stream(segment), segment.arrays["observation"], segment.arrays["episode"])
         return True
+
+    def _stream(self, segment: Segment) -> str:
+        """A name for what this segment goes on from.
+
+        Where steps are missing (another block was granted, this one was not), a new stream begins, so
+        that positives (eq. 4) are never taken across a gap.
+        """
+        part, expected = self._parts.get(segment.life, (0, segment.first_step))
+        if segment.first_step != expected:
+            part += 1
+        self._parts[segment.life] = (part, segment.first_step + segment.steps)
+        return f"{segment.life}/{part}"
 
     def advance(self) -> bool:
         """A few updates of the encoder, if this is a fit and not done."""
@@ -130,6 +147,7 @@ class EncoderWork:
                 "updates_done": self._updates_done,
                 "updates_total": self._updates_total,
                 "fitted": self._fitted,
+                "parts": self._parts,
                 "memory": {name: torch.from_numpy(array) for name, array in self._memory.state().items()},
                 "scaled": self._scaled,
                 "trainer": self._trainer.state(),
@@ -147,6 +165,7 @@ class EncoderWork:
         self._updates_done = saved["updates_done"]
         self._updates_total = saved["updates_total"]
         self._fitted = saved["fitted"]
+        self._parts = saved["parts"]
         self._memory.restore({name: tensor.numpy() for name, tensor in saved["memory"].items()})
         self._scaled = saved["scaled"]
         self._trainer.restore(saved["trainer"])

@@ -14,7 +14,7 @@ from typing import Any
 
 from services.launcher.config import ROOT
 from services.runtime.checkpoint import refuse_storage, write_atomically
-from services.runtime.errors import UserError
+from services.runtime.errors import StorageError, UserError
 from services.runtime.process import read_run_name
 from services.runtime.settings import RunSettings, load
 
@@ -138,8 +138,17 @@ class RunFolder:
             lines = (self.path / "scores.jsonl").read_bytes().split(b"\n")
         except OSError:
             return []
+        rows = []
         # The last part is empty, or a line that is being written.
-        return [json.loads(line) for line in lines[:-1]]
+        for number, line in enumerate(lines[:-1], start=1):
+            try:
+                rows.append(json.loads(line))
+            except ValueError:
+                raise StorageError(
+                    f"line {number} of {self.path / 'scores.jsonl'} is damaged; delete the file, "
+                    "and the coordinator writes it anew from its journal when the run is resumed"
+                ) from None
+        return rows
 
     def scores_size(self) -> int:
         """Bytes of `scores.jsonl`, which only grows; 0 if there is none."""

@@ -19,6 +19,7 @@ class PolicyWorkConfig:
     block: str
     latent_dim: int
     action_size: int
+    posture_size: int
     diameter: float
     crossing_axis: int | None
     policy: PolicySettings
@@ -46,6 +47,7 @@ def work_config(
     index: int,
     *,
     run: str,
+    posture_size: int,
     diameter: float,
     crossing_axis: int | None,
 ) -> PolicyWorkConfig:
@@ -55,6 +57,7 @@ def work_config(
         block=block,
         latent_dim=settings.one_block(block).latent_dim,
         action_size=tree.action_size_of(block),
+        posture_size=posture_size,
         diameter=diameter,
         crossing_axis=crossing_axis,
         policy=settings.policy,

@@ -56,8 +56,21 @@ class Evaluation:
             return False
         if self._missing(mode) <= 0 or not all(name in segment.arrays for name in LEG_ARRAYS):
             return False
-        self._add(mode, {name: np.array(segment.arrays[name]) for name in LEG_ARRAYS})
+        legs = {name: np.array(segment.arrays[name]) for name in LEG_ARRAYS}
+        self._check(segment, legs)
+        self._add(mode, legs)
         return True
+
+    def _check(self, segment: Segment, legs: Mapping[str, NDArray[np.generic]]) -> None:
+        """Raises ValueError for legs that cannot be scored together with the others."""
+        frame, d = (self._config.evaluation.legs, segment.columns), self._config.latent_dim
+        shapes = {"posture": (*frame, self._config.posture_size), "latent": (*frame, d), "goal": frame}
+        for name, shape in shapes.items():
+            values = legs[name].astype(np.float64)
+            if values.shape != shape or not np.isfinite(values).all():
+                raise ValueError(f"{name} must be finite numbers of shape {shape}, got shape {values.shape}")
+        if not np.isin(legs["goal"], np.arange(d)).all():
+            raise ValueError(f"goals must be vertices 0 to {d - 1}")
 
     def state(self) -> dict[str, object]:
         """What was measured so far, as plain lists for a checkpoint."""

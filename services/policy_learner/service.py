@@ -27,6 +27,7 @@ def build(context: Context) -> Learner:
                 block.name,
                 index,
                 run=context.run,
+                posture_size=world.posture_size,
                 diameter=world.diameter,
                 crossing_axis=world.crossing_axis,
             )

@@ -15,13 +15,15 @@ from services.policy_learner.config import PRACTISES, PolicyWorkConfig
 from services.policy_learner.evaluation import Evaluation
 from services.policy_learner.rollouts import RolloutHand
 from services.runtime.intake import Want
-from services.runtime.models import ModelOffer
+from services.runtime.models import ModelKind, ModelOffer
 
 ROLLOUT_ARRAYS = ("latent", "next_latent", "goal", "action", "log_prob", "truncated", "terminated")
 
 
 class PolicyWork:
     """The `Work` of one policy."""
+
+    kind: ModelKind = "policy"
 
     def __init__(self, config: PolicyWorkConfig) -> None:
         self.block = config.block

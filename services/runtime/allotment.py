@@ -11,7 +11,6 @@ from dataclasses import dataclass
 @dataclass
 class _Sender:
     columns: int
-    present: bool = True
     upto: int = 0
     granted: int = 0
     granted_in_term: int = 0
@@ -51,27 +50,27 @@ class Allotment:
 
     def appeared(self, life: str, upto: int, now_secs: float) -> None:
         """A sender is there (again), of whom all segments below `upto` are held."""
-        sender = self._senders.setdefault(life, _Sender(columns=self._guess, present=False))
-        sender.upto = max(sender.upto, upto)
-        if not sender.present:
-            sender.present = True
-            sender.granted = sender.upto
-        sender.since_secs = now_secs
+        if life not in self._senders:
+            self._senders[life] = _Sender(columns=self._guess, upto=upto, granted=upto, since_secs=now_secs)
 
     def vanished(self, life: str) -> None:
         """A sender is gone; what it owes is granted to others."""
-        if life in self._senders:
-            self._senders[life].present = False
+        self._senders.pop(life, None)
 
     def received(self, life: str, upto: int, columns: int, now_secs: float) -> None:
-        """All segments of `life` below `upto` are held; its segments have `columns` columns."""
-        self.appeared(life, upto, now_secs)
-        self._senders[life].columns = columns
+        """All segments of `life` below `upto` are held; its segments have `columns` columns.
+
+        The last segment of a sender that is gone may come after the news of it: it stays gone.
+        """
+        if (sender := self._senders.get(life)) is not None:
+            sender.upto = max(sender.upto, upto)
+            sender.columns = columns
+            sender.since_secs = now_secs
 
     def grant(self, now_secs: float) -> dict[str, int]:
         """Share out what is wanted and not under way; returns {life: granted} for all present."""
         uncovered = self.missing_columns - sum(
-            s.owed * s.columns for s in self._senders.values() if s.present and self._trusted(s, now_secs)
+            s.owed * s.columns for s in self._senders.values() if self._trusted(s, now_secs)
         )
         while uncovered > 0 and (life := self._least_burdened(now_secs)) is not None:
             sender = self._senders[life]
@@ -80,11 +79,11 @@ class Allotment:
             sender.granted = max(sender.granted, sender.upto) + 1
             sender.granted_in_term += 1
             uncovered -= sender.columns
-        return {life: s.granted for life, s in sorted(self._senders.items()) if s.present}
+        return {life: s.granted for life, s in sorted(self._senders.items())}
 
     def overdue(self, now_secs: float) -> list[str]:
         """Present senders that owe a segment for longer than the patience."""
-        return [x for x, s in sorted(self._senders.items()) if s.present and not self._trusted(s, now_secs)]
+        return [x for x, s in sorted(self._senders.items()) if not self._trusted(s, now_secs)]
 
     def _trusted(self, sender: _Sender, now_secs: float) -> bool:
         return sender.owed == 0 or now_secs - sender.since_secs <= self._patience_secs
@@ -93,6 +92,6 @@ class Allotment:
         able = [
             (s.owed, s.granted_in_term, life)
             for life, s in self._senders.items()
-            if s.present and s.owed < self._window and self._trusted(s, now_secs)
+            if s.owed < self._window and self._trusted(s, now_secs)
         ]
         return min(able)[2] if able else None

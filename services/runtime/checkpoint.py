@@ -71,7 +71,7 @@ class Checkpoints:
             return None
         raise CheckpointError(
             f"no checkpoint in {self._folder} can be read ({', '.join(path.name for path in paths)}); "
-            "restore one from a backup, or delete the folder to begin this learner anew"
+            "restore one from a backup, or start a new run"
         )
 
     def _paths(self) -> list[Path]:

@@ -4,8 +4,8 @@ Order matters: judge (ledger), keep (spool, synced), use, acknowledge. A learner
 point finds in its spool whatever it had acknowledged since its checkpoint.
 """
 
-from collections.abc import Collection, Iterator
-from typing import Literal
+from collections.abc import Collection, Iterator, Mapping
+from typing import Any, Literal
 
 from protocol import keys
 from protocol.codec import decode, encode
@@ -19,6 +19,8 @@ from services.runtime.spool import Spool
 
 Want = Literal["random", "sampled", "mean"]
 """How actors should act for the experience that is wanted."""
+MAX_MEMBER_NEWS = 65_536
+"""Comings and goings of actors between two looks; far more than any run has."""
 ACK_REPEAT_SECS = 0.5
 """Acknowledgements and grants are repeated after this time, since one may be lost."""
 
@@ -46,13 +48,15 @@ class Intake:
         self._life = life
         self._spool = spool
         self._inbox = Inbox(wakeup, max_frames=keys.DELIVERY["segment"].keep)
+        # Apart from the segments: those are sent again when they are dropped, members' comings are not.
+        self._members = Inbox(wakeup, max_frames=MAX_MEMBER_NEWS)
         self._said: dict[tuple[str, str], tuple[float, Ack]] = {}
         self._acks = 0
         self.ledger = Ledger()
         self.present: set[str] = set()
         """Lives of the actors that are there."""
         bus.subscribe("segment", keys.segment(run, consumer, "*", "*"), self._inbox)
-        bus.watch(keys.alive(run, "actor", "*"), self._inbox)
+        bus.watch(keys.alive(run, "actor", "*"), self._members)
 
     @property
     def queue_depth(self) -> int:
@@ -66,19 +70,26 @@ class Intake:
 
     def collect(self, limit: int = 64) -> list[Segment]:
         """The segments newly taken, in order, all of them kept on disk already."""
+        for news in self._members.take_all():
+            if isinstance(news, Membership):
+                self._note_member(news.key, news.present)
         fresh: list[Segment] = []
         for _ in range(limit):
-            match self._inbox.take():
-                case None:
-                    break
-                case Frame(key=key, data=data):
-                    if (segment := self._judge(key, data)) is not None:
-                        fresh.append(segment)
-                case Membership(key=key, present=present):
-                    self._note_member(key, present)
+            arrival = self._inbox.take()
+            if arrival is None:
+                break
+            if isinstance(arrival, Frame) and (segment := self._judge(arrival.key, arrival.data)) is not None:
+                fresh.append(segment)
         if fresh:
             self._spool.sync()
         return fresh
+
+    def restore(self, book: Mapping[str, Any]) -> None:
+        """Take over a checkpoint's book. Its lives count as gone until they are seen to be there."""
+        self.ledger.restore(book)
+        for life in self.ledger.lives():
+            if life not in self.present:
+                self.ledger.forget(life)
 
     def replay(self, generation: int) -> Iterator[Segment]:
         """The segments taken since the restored checkpoint of this generation, in their old order."""
@@ -145,6 +156,7 @@ class Intake:
         _, life = keys.member(key)
         if present:
             self.present.add(life)
+            self.ledger.remember(life)
         else:
             self.present.discard(life)
             self.ledger.forget(life)

@@ -22,6 +22,7 @@ from services.runtime.checkpoint import Checkpoints
 from services.runtime.errors import CheckpointError
 from services.runtime.intake import Intake
 from services.runtime.process import Context
+from services.runtime.settings import RunSettings
 from services.runtime.spool import Spool
 from services.runtime.status import Heart
 from services.runtime.work import Work
@@ -43,16 +44,8 @@ class Learner:
         self._works = {work.block: work for work in works}
         self._fingerprint = fingerprint
         self._folder = context.run_dir / "checkpoints" / service
-        self._models = context.run_dir / "models"
         settings = context.settings
-        self._allotments = {
-            block: Allotment(
-                columns_per_segment=settings.actors.envs_per_actor,
-                window=settings.actors.window,
-                patience_secs=settings.wire.grant_secs,
-            )
-            for block in self._works
-        }
+        self._allotments = {block: _allotment(settings) for block in self._works}
         self._control = Inbox(context.wakeup, max_frames=keys.DELIVERY["phase"].keep)
         self._control_gate = Gate(context.run, {"phase"})
         self._gate = Gate(context.run, {"segment"}, fingerprint=fingerprint)
@@ -128,6 +121,7 @@ class Learner:
     def _begin(self, announced: PhaseAnnounced) -> None:
         if self._announced is not None and announced.term <= self._announced.term:
             return
+        self._catch_up(announced)
         log.info("term %d: %s", announced.term, announced.phase)
         self._announced = announced
         self._finished.clear()
@@ -139,6 +133,24 @@ class Learner:
         self._publish_models()
         self._checkpoint(self._context.clock.now_secs())
         self._urgent = True
+
+    def _catch_up(self, announced: PhaseAnnounced) -> None:
+        """Finish what an older checkpoint left undone; raises `CheckpointError` if that is not enough.
+
+        The coordinator announces the versions that this learner had reported when it was last heard.
+        """
+        for block, floor in announced.blocks.items():
+            work = self._works.get(block)
+            if work is None:
+                continue
+            needed = getattr(floor, work.kind)
+            while _version(work) < needed and work.advance():
+                pass
+            if _version(work) < needed:
+                raise CheckpointError(
+                    f"the run needs {work.kind} {needed} of {block}, and the checkpoints in {self._folder} "
+                    f"lead only to {_version(work)}; restore them from a backup or start a new run"
+                )
 
     def _collect(self, now_secs: float) -> None:
         for segment in self._intake.collect():
@@ -241,7 +253,7 @@ class Learner:
                 f"{self._folder} holds checkpoints of another service; give each its own folder"
             )
         book = json.loads(payload["book"])
-        self._intake.ledger.restore(book["ledger"])
+        self._intake.restore(book["ledger"])
         self._received, self._stale = book["received"], book["stale"]
         if book["announced"] is not None:
             self._announced = PhaseAnnounced.model_validate(book["announced"], strict=False)
@@ -306,3 +318,16 @@ class Learner:
         overdue = self._allotments[first.block].overdue(self._context.clock.now_secs())
         late = f"; overdue: {', '.join(overdue)}" if overdue else ""
         return f"experience of {first.block}: {amount}; actors here: {len(self._known)}{late}"
+
+
+def _version(work: Work) -> int:
+    offer = work.model()
+    return 0 if offer is None else offer.version
+
+
+def _allotment(settings: RunSettings) -> Allotment:
+    return Allotment(
+        columns_per_segment=settings.actors.envs_per_actor,
+        window=settings.actors.window,
+        patience_secs=settings.wire.grant_secs,
+    )

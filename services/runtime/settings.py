@@ -185,6 +185,16 @@ class RunSettings(Section):
             raise ValueError(f"block names must be distinct and none may be {ALL_BLOCKS!r}; got {names}")
         return self
 
+    @model_validator(mode="after")
+    def _segments_fit_rollouts(self) -> "RunSettings":
+        most = self.policy.rollout_columns * (self.policy.max_policy_lag + 1)
+        if self.actors.envs_per_actor > most:
+            raise ValueError(
+                f"actors.envs_per_actor may be at most {most}, that is policy.rollout_columns x "
+                "(policy.max_policy_lag + 1), or part of every segment would be too old to learn from"
+            )
+        return self
+
     def one_block(self, name: str) -> BlockSettings:
         """The settings of the named block. Raises KeyError for an unknown one."""
         for block in self.block:

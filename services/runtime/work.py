@@ -5,13 +5,15 @@ from typing import Protocol
 
 from protocol.messages import PhaseAnnounced, Progress, Score, Segment
 from services.runtime.intake import Want
-from services.runtime.models import ModelOffer
+from services.runtime.models import ModelKind, ModelOffer
 
 
 class Work(Protocol):
     """One block's learning, without wire, clock or disk."""
 
     block: str
+    kind: ModelKind
+    """What it learns."""
 
     def begin(self, announced: PhaseAnnounced) -> None:
         """Start the work of a new term (none, if the phase is another learner's)."""

@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from protocol import keys
+from protocol.codec import decode
+from protocol.messages import Segment, Status
 from services.actor.service import build as build_actor
 from services.coordinator.service import CoordinatorService as build_coordinator
 from services.encoder_learner.service import build as build_encoder_learner
@@ -48,12 +50,17 @@ class Simulation:
     clock: HandClock = field(default_factory=lambda: HandClock(1_000.0))
     running: dict[str, _Running] = field(default_factory=dict)
     ended: list[str] = field(default_factory=list)
+    sent_steps: dict[tuple[str, int, str], dict[tuple[str, int], int]] = field(default_factory=dict)
+    """By (consumer, term, block): environment steps of each different segment (life, seq) that was sent."""
+    used_steps: dict[tuple[str, int, str], int] = field(default_factory=dict)
+    """By (learner, term, block): the most steps that the learner said it had used."""
     rounds: int = 0
 
     def start(self, service: str, life: str, index: int = 0) -> None:
         """Start a service under a life name."""
         wakeup = Wakeup()
         bus = self.hub.connect(life, wakeup)
+        self._note_what_is_published(bus)
         context = Context(
             bus=bus,
             clock=self.clock,
@@ -75,6 +82,28 @@ class Simulation:
         self.start("policy_learner", "policy_learner-0")
         for index in range(actors):
             self.start("actor", f"actor-{index}", index)
+
+    def _note_what_is_published(self, bus: Any) -> None:
+        """Note segments and progress where they are said, before any fault of the bus."""
+        publish = bus.publish
+
+        def noting(kind: str, key: str, frame: bytes) -> None:
+            if kind in ("segment", "status"):
+                self._note(decode(frame))
+            publish(kind, key, frame)
+
+        bus.publish = noting
+
+    def _note(self, message: object) -> None:
+        match message:
+            case Segment() as s:
+                sent = self.sent_steps.setdefault((s.consumer, s.term, s.block), {})
+                sent[s.life, s.seq] = s.steps * s.columns
+            case Status() as status:
+                for progress in status.progress:
+                    if progress.unit == "steps":
+                        key = (status.service, status.term, progress.block)
+                        self.used_steps[key] = max(progress.done, self.used_steps.get(key, 0))
 
     def crash(self, life: str) -> None:
         """As `kill -9`: no goodbye, nothing saved."""

@@ -1,11 +1,13 @@
 """Lost, doubled and reordered frames, crashes and late comers: the run ends and nothing counts twice."""
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from services.runtime.errors import CheckpointError
 from services.runtime.memory_bus import Faults, MemoryBus
 from services.runtime.settings import RunSettings
 from tests.simulated.harness import Simulation
@@ -24,8 +26,11 @@ def phase_of(run_dir: Path) -> str:
 
 
 def assert_complete_and_exact(simulation: Simulation) -> None:
-    """The run is done, and each learner took exactly the numbered segments of each stream, once."""
+    """The run is done; no learner used more than was sent, or took a segment of a stream twice."""
     assert phase_of(simulation.run_dir) == "done"
+    assert len({term for _, term, _ in simulation.used_steps}) == 4, "babble, ground, walk and practise"
+    for key, used in simulation.used_steps.items():
+        assert used <= sum(simulation.sent_steps[key].values()), f"{key} counted experience twice"
     for learner in ("encoder_learner", "policy_learner"):
         book = simulation.book(learner)
         taken = sum(upto for _, _, upto, _ in book["ledger"]["streams"])
@@ -126,3 +131,37 @@ def test_a_learner_whose_newest_checkpoint_is_truncated_goes_on_from_the_one_bef
     assert f"skipping the damaged checkpoint {newest}" in caplog.text
     simulation.until_all_ended()
     assert_complete_and_exact(simulation)
+
+
+@pytest.mark.parametrize("learner", ["encoder_learner", "policy_learner"])
+def test_a_learner_that_lost_what_the_run_stands_on_says_so_and_ends(
+    tiny: RunSettings, simulate: Simulate, learner: str
+) -> None:
+    simulation = simulate(tiny)
+    simulation.start_all(actors=2)
+    simulation.until(lambda: phase_of(simulation.run_dir) == "practise")
+    simulation.crash(f"{learner}-0")
+    shutil.rmtree(simulation.run_dir / "checkpoints" / learner)
+    simulation.start(learner, f"{learner}-reborn")
+    with pytest.raises(CheckpointError, match=r"the run needs (encoder 2|policy \d+) of body"):
+        simulation.until_all_ended()
+
+
+def test_an_encoder_lost_with_its_checkpoint_is_fitted_again_before_the_run_goes_on(
+    tiny: RunSettings, simulate: Simulate
+) -> None:
+    simulation = simulate(tiny)
+    simulation.start_all(actors=2)
+    simulation.until(lambda: phase_of(simulation.run_dir) == "encode")
+    folder = simulation.run_dir / "checkpoints" / "encoder_learner"
+    simulation.until(lambda: len(list((simulation.run_dir / "models").rglob("encoder-1.onnx"))) == 1)
+    simulation.crash("encoder_learner-0")
+    newest = max(folder.glob("*.checkpoint"))
+    newest.write_bytes(newest.read_bytes()[:-10])
+    first = (simulation.run_dir / "models/body/encoder-1.onnx").read_bytes()
+    simulation.until(lambda: phase_of(simulation.run_dir) == "ground")
+    simulation.start("encoder_learner", "encoder_learner-reborn")
+    simulation.until_all_ended()
+    assert_complete_and_exact(simulation)
+    assert (simulation.run_dir / "models/body/encoder-1.onnx").read_bytes() == first
+    assert (simulation.run_dir / "models/body/encoder-2.onnx").exists()

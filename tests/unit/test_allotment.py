@@ -45,6 +45,16 @@ def test_what_a_vanished_actor_owes_is_granted_to_the_others() -> None:
     assert allotment.grant(0.1) == {"a": 2}
 
 
+def test_a_late_segment_of_a_vanished_actor_does_not_bring_it_back() -> None:
+    allotment = fresh()
+    for life in ("a", "b"):
+        allotment.appeared(life, 0, 0.0)
+    allotment.vanished("b")
+    allotment.received("b", upto=1, columns=8, now_secs=0.1)
+    allotment.want(16)
+    assert allotment.grant(0.2) == {"a": 2}
+
+
 def test_what_a_stuck_actor_owes_is_granted_anew_after_the_patience() -> None:
     allotment = fresh()
     for life in ("a", "b"):
@@ -84,6 +94,7 @@ def test_whatever_the_actors_demand_is_met_without_a_segment_too_many(wanted, si
     allotment = fresh()
     sent = dict.fromkeys(sizes, 0)
     for life, columns in sizes.items():
+        allotment.appeared(life, 0, 0.0)
         allotment.received(life, 0, columns, 0.0)
     missing = wanted
     for _ in range(2000):

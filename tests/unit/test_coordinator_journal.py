@@ -177,7 +177,9 @@ def test_a_journal_of_another_run_or_plan_is_refused(
 
 def test_deadlines_may_change_between_starts(tmp_path: Path) -> None:
     write(tmp_path / "journal.jsonl", HISTORY)
-    Journal(tmp_path / "journal.jsonl", "test", replace(PLAN, stall_secs=1.0)).close()
+    journal = Journal(tmp_path / "journal.jsonl", "test", replace(PLAN, stall_secs=1.0))
+    assert list(journal.events) == list(HISTORY)
+    journal.close()
 
 
 def test_there_are_recorded_journals() -> None:

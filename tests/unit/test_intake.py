@@ -147,3 +147,11 @@ def test_a_learner_that_was_killed_finds_what_it_took(stage: Stage, tmp_path: Pa
     assert [segment.seq for segment in replayed] == [0, 1, 2]
     assert replayed[2].arrays["observation"][0, 0, 0] == 2
     assert again.intake.ledger.upto("actor-1", "body") == 3
+
+
+def test_a_flood_of_segments_never_hides_that_an_actor_is_there(stage: Stage) -> None:
+    for _ in range(keys.DELIVERY["segment"].keep + 10):
+        stage.send(5)
+    stage.intake.collect(limit=1)
+    assert stage.intake.present == {"actor-1"}
+    assert stage.intake.dropped > 0

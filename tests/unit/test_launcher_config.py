@@ -43,6 +43,10 @@ def test_actors_and_seed_of_the_command_line_replace_the_scenarios() -> None:
         ({"world": {"parameters": {"sped": 1}}}, "no parameter 'sped'"),
         ({"world": {"parameters": {"speed": "fast"}}}, "speed must be"),
         ({"block": [{"observes": [7]}]}, "observes 7"),
+        (
+            {"block": [{"name": "finger"}, {"name": "hand", "children": ["finger"]}]},
+            "block hand has children, and such blocks cannot act yet",
+        ),
     ],
 )
 def test_worlds_and_blocks_are_tried_out(table: dict[str, object], sentence: str) -> None:

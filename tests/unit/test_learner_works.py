@@ -69,7 +69,9 @@ def new_encoder_work(settings: RunSettings) -> EncoderWork:
 def new_policy_work(settings: RunSettings) -> PolicyWork:
     tree = BlockTree.of(settings.block, 3, 3)
     return PolicyWork(
-        policy_config.work_config(settings, tree, "body", 0, run="r", diameter=2.0, crossing_axis=None)
+        policy_config.work_config(
+            settings, tree, "body", 0, run="r", posture_size=3, diameter=2.0, crossing_axis=None
+        )
     )
 
 
@@ -179,3 +181,45 @@ def test_experience_that_is_not_a_number_is_refused_by_name(spoilt: str) -> None
     bad.arrays[spoilt][0] = np.nan
     with pytest.raises(ValueError, match=spoilt):
         grounded().take(bad)
+
+
+def test_positives_are_never_taken_across_missing_steps() -> None:
+    work, rng = (
+        new_encoder_work(settings_of(phases=TABLE["phases"] | {"babble_steps": 320})),
+        np.random.default_rng(0),
+    )
+    work.begin(announce(Phase.BABBLE, 1))
+    for seq, first_step in enumerate((0, 8, 24)):  # the steps 16 to 23 are missing
+        taken = segment(Phase.BABBLE, seq, rng, policy="random").model_copy(update={"first_step": first_step})
+        taken.arrays["observation"][:] = first_step + np.arange(8, dtype=np.float32)[:, None, None]
+        assert work.take(taken)
+    anchor, positive = work._memory.sample_pairs(rng, 2000, 12)
+    apart = (positive - anchor)[:, 0]
+    assert apart.max() <= 12
+    assert not ((anchor[:, 0] < 16) & (positive[:, 0] >= 24)).any()
+    assert ((anchor[:, 0] < 8) & (positive[:, 0] >= 8)).any(), "a border without a gap is crossed"
+
+
+@pytest.mark.parametrize("spoilt", [{"goal": 7}, {"latent": np.nan}, {"posture": np.inf}])
+def test_legs_that_cannot_be_scored_are_refused_and_leave_the_evaluation_as_it_was(
+    spoilt: dict[str, float],
+) -> None:
+    work, rng = grounded(), np.random.default_rng(3)
+    work.begin(announce(Phase.EVALUATE, 4, encoder=1))
+    arrays: dict[str, Any] = {
+        "start_posture": np.zeros((4, 3), np.float32),
+        "posture": rng.normal(size=(5, 4, 3)).astype(np.float32),
+        "latent": rng.dirichlet([1, 1], (5, 4)).astype(np.float32),
+        "goal": rng.integers(0, 2, (5, 4)).astype(np.int32),
+    }
+    good = segment(Phase.GROUND, 0, rng, policy="mean").model_copy(
+        update={"phase": Phase.EVALUATE, "arrays": arrays}
+    )
+    bad_arrays = {name: array.copy() for name, array in arrays.items()}
+    for name, value in spoilt.items():
+        bad_arrays[name][0, 0] = value
+    with pytest.raises(ValueError, match="must be"):
+        work.take(good.model_copy(update={"arrays": bad_arrays}))
+    assert work.wanted_columns() == 16
+    assert work.take(good)
+    assert work.wanted_columns() == 12

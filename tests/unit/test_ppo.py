@@ -257,7 +257,10 @@ def test_frames_that_may_not_be_written_to_are_read():
     rollout = make_rollout()
     for array in rollout.values():
         array.flags.writeable = False
-    make_ppo().update(rollout)
+    ppo = make_ppo()
+    before = parameters(ppo)
+    ppo.update(rollout)
+    assert not torch.equal(parameters(ppo), before)
 
 
 @pytest.mark.parametrize(
