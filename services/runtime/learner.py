@@ -63,16 +63,7 @@ class Learner:
         self._received = 0
         self._stopping = False
         self._urgent = False
-        self._intake = Intake(
-            context.bus,
-            self._gate,
-            consumer=service,
-            blocks=self._works,
-            run=context.run,
-            life=context.life,
-            spool=self._spool,
-            wakeup=context.wakeup,
-        )
+        self._intake = self._new_intake(service)
         self._heart = Heart(
             context.bus,
             run=context.run,
@@ -107,6 +98,18 @@ class Learner:
         self._heart.poll(now_secs, self._report, urgent=self._urgent or told)
         self._urgent = False
         return 0.0 if busy else IDLE_SECS
+
+    def _new_intake(self, service: str) -> Intake:
+        return Intake(
+            self._context.bus,
+            self._gate,
+            consumer=service,
+            blocks=self._works,
+            run=self._context.run,
+            life=self._context.life,
+            spool=self._spool,
+            wakeup=self._context.wakeup,
+        )
 
     def _hear_phase(self) -> bool:
         """Take the newest announcement; True if it says that the run is done."""

@@ -113,9 +113,8 @@ def test_nothing_is_lost_or_taken_twice_when_the_router_is_killed_midway(
     segments, acks = Inbox(), Inbox()
     learner.subscribe("segment", STREAM, segments)
     actor.subscribe("ack", ACKS, acks)
-    window, ledger = SendWindow(4, 0.2), Ledger()
+    window, ledger, total = SendWindow(4, 0.2), Ledger(), 300
     taken: list[int] = []
-    total = 300
 
     def exchange() -> None:
         for data in frames(acks):
@@ -139,7 +138,7 @@ def test_nothing_is_lost_or_taken_twice_when_the_router_is_killed_midway(
         exchange()
         return window.acked_total >= count
 
-    wait_for("the first 50", lambda: acknowledged(50), within_secs=20.0)
+    wait_for("the first 50", lambda: acknowledged(50), 20.0)
     router.kill()
     wait_for("the window to stall and resend", lambda: acknowledged(total) or window.resent > 0)
     assert window.unacknowledged == 4
