@@ -21,8 +21,13 @@ class Stage:
     def __init__(self) -> None:
         hub = MemoryBus()
         self.outbox = Outbox(
-            hub.connect("actor-1"), run="r", life="actor-1", fingerprint=FINGERPRINT, window=2, resend_secs=1.0
-        )  # fmt: skip
+            hub.connect("actor-1"),
+            run="r",
+            life="actor-1",
+            fingerprint=FINGERPRINT,
+            window=2,
+            resend_secs=1.0,
+        )
         self.heard = Inbox()
         hub.connect("learner-1").subscribe("segment", keys.segment("r", "*", "*", "*"), self.heard)
 
@@ -38,7 +43,7 @@ class Stage:
                 consumer="encoder_learner",
                 upto=upto,
                 granted=granted,
-            )  # fmt: skip
+            )
         )
 
     def send(self, now_secs: float = 0.0, columns: int = 2) -> None:
