@@ -63,7 +63,7 @@ def test_the_doctor_names_what_is_missing_and_the_extra_to_install() -> None:
     found = packages("learner", ["numpy", "torch"], {"numpy": "2.4"}.get)
     assert not found.good
     assert "without torch;" in found.text
-    assert "babble[learner]" in found.text
+    assert "--extra learner" in found.text
     assert packages("actor", ["numpy"], {"numpy": "2.4"}.get).text == "numpy 2.4"
 
 

@@ -88,7 +88,7 @@ def test_only_damaged_ones_are_an_error_that_names_them(tmp_path: Path) -> None:
     text = str(failure.value)
     assert "00000001.checkpoint, 00000002.checkpoint" in text
     assert str(tmp_path) in text
-    assert "delete the folder" in text
+    assert "start a new run" in text
 
 
 def test_a_kill_at_any_point_leaves_the_old_or_the_new(

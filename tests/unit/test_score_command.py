@@ -213,5 +213,5 @@ def test_the_control_without_torch_names_the_extra(
     ended = without_torch("--control")
     assert ended.returncode == 2
     assert "needs torch" in ended.stderr
-    assert "babble[learner]" in ended.stderr
+    assert "--extra learner" in ended.stderr
     assert len(ended.stderr.splitlines()) == 1
