@@ -101,6 +101,7 @@ class PractiseWay(_ModelWay):
     ) -> None:
         super().__init__(block, shelf, clock, rng)
         self._latent: Floats | None = None
+        self._goal = clock.goal
         self._action = self._log_prob = np.zeros(0, np.float32)
 
     def begin_segment(self) -> None:
@@ -113,19 +114,19 @@ class PractiseWay(_ModelWay):
         encoder, policy = self._models()
         if self._latent is None:
             self._latent = encoder.latent(observation)
-        self._action, self._log_prob = policy.act(self._latent, self._clock.goal, self._rng, mode="sampled")
+        self._goal = self._clock.goal
+        self._action, self._log_prob = policy.act(self._latent, self._goal, self._rng, mode="sampled")
         return self._action
 
     def record(self, observation: Floats, arrived: Floats, step: Step, episode: NDArray[np.int32]) -> Record:
         """One transition; a goal switch is a truncation under the old goal (eq. 11, facts section 1)."""
         encoder, _ = self._models()
         next_latent = encoder.latent(arrived)
-        goal = self._clock.goal.copy()
         switched = self._clock.tick()
         record: Record = {
             "latent": np.asarray(self._latent),
             "next_latent": next_latent,
-            "goal": goal,
+            "goal": self._goal,
             "action": self._action,
             "log_prob": self._log_prob,
             "truncated": (switched | step.truncated).astype(np.uint8),
