@@ -19,6 +19,19 @@ IR_VERSION = 8
 """Old enough for every ONNX Runtime since 2022, and all that these graphs need."""
 
 
+TOLERANCE = 1e-5
+"""An exported model may be so far off the network that it was made from."""
+CHECKED_ROWS = 64
+"""Random inputs on which the two are compared at each export."""
+
+
+class ExportError(RuntimeError):
+    """An exported model that does not compute what the network does."""
+
+    def __init__(self, kind: str, difference: float) -> None:
+        super().__init__(f"the exported {kind} is {difference:g} off the network, over {TOLERANCE:g}")
+
+
 @dataclass(frozen=True)
 class Layer:
     """An affine layer: y = x @ weight.T + bias."""

@@ -4,15 +4,8 @@ import numpy as np
 import torch
 
 from babble.encoder.network import Encoder
-from babble.onnx_model import EncoderWeights, Layer, encoder_onnx
+from babble.onnx_model import CHECKED_ROWS, TOLERANCE, EncoderWeights, ExportError, Layer, encoder_onnx
 from babble.policy.act import EncoderModel
-
-TOLERANCE = 1e-5
-CHECKED_ROWS = 64
-
-
-class ExportError(RuntimeError):
-    """An exported model that does not compute what the network does."""
 
 
 def encoder_weights(encoder: Encoder) -> EncoderWeights:
@@ -34,5 +27,5 @@ def export_encoder(encoder: Encoder) -> bytes:
         expected = encoder(torch.from_numpy(observation)).numpy()
     difference = float(np.abs(EncoderModel(exported).latent(observation) - expected).max())
     if not difference <= TOLERANCE:
-        raise ExportError(f"the exported encoder is {difference:g} off the network, over {TOLERANCE:g}")
+        raise ExportError("encoder", difference)
     return exported

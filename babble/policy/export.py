@@ -2,17 +2,10 @@
 
 import numpy as np
 
-from babble.onnx_model import policy_onnx
+from babble.onnx_model import CHECKED_ROWS, TOLERANCE, ExportError, policy_onnx
 from babble.policy.act import PolicyModel
 from babble.policy.goals import one_hot
 from babble.policy.ppo import GoalPPO
-
-TOLERANCE = 1e-5
-CHECKED_ROWS = 64
-
-
-class ExportError(RuntimeError):
-    """An exported model that does not compute what the network does."""
 
 
 def export_policy(ppo: GoalPPO) -> bytes:
@@ -25,5 +18,5 @@ def export_policy(ppo: GoalPPO) -> bytes:
     mean, deviations = PolicyModel(exported).distribution(z, g)
     difference = max(float(np.abs(mean - expected).max()), float(np.abs(deviations - log_std).max()))
     if not difference <= TOLERANCE:
-        raise ExportError(f"the exported policy is {difference:g} off the network, over {TOLERANCE:g}")
+        raise ExportError("policy", difference)
     return exported
