@@ -1,11 +1,14 @@
 """What a world is: copies of one body, stepped together, as actors use them."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from babble.landmarks import Landmark
 from babble.worlds.geometry import Body, Points
 
 Floats = NDArray[np.float32]
@@ -25,6 +28,9 @@ class Step:
     """(E,) the episode was cut off and could have gone on"""
     external_reward: Floats
     """(E,) the task's own reward, 0 without one; for the goal's see babble.policy.goals.reward"""
+    failed: Flags | None = None
+    """(E,) the simulation broke down: these columns' numbers mean nothing, and they must be restarted;
+    None where that cannot happen"""
 
 
 class World(Protocol):
@@ -46,6 +52,11 @@ class World(Protocol):
         ...
 
     @property
+    def senses(self) -> Mapping[str, tuple[int, ...]]:
+        """The shape of each sense, in the order in which they, flattened, make up an observation."""
+        ...
+
+    @property
     def action_size(self) -> int:
         """a, the length of one action; each component acts within [-1, 1]."""
         ...
@@ -63,6 +74,11 @@ class World(Protocol):
     @property
     def crossing_axis(self) -> int | None:
         """The component of the posture whose sign tells two halves apart; None where there are none."""
+        ...
+
+    @property
+    def landmarks(self) -> tuple[Landmark, ...]:
+        """The postures that have a name; scores say how often each is reached. Empty where there are none."""
         ...
 
     def reset(self, start: Start = "centre") -> Floats:
@@ -90,6 +106,8 @@ class PointWorld:
     """Points inside a body, each moved by a bounded velocity; implements `World`."""
 
     observation_size = 3
+    senses: Mapping[str, tuple[int, ...]] = MappingProxyType({"position": (3,)})
+    landmarks: tuple[Landmark, ...] = ()
     action_size = 3
     posture_size = 3
 
