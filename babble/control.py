@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from babble.breakdowns import Breakdowns
 from babble.encoder.export import export_encoder
 from babble.encoder.network import Encoder
 from babble.memory import ExperienceMemory
@@ -38,13 +39,13 @@ def train_on_untrained_encoder(
     """An encoder with random weights, and a policy trained on it for `train_steps` environment steps.
 
     The walk of `walk_steps` only sets the encoder's scaling. `ppo` are fields of `PPOSettings`.
-    Raises ValueError or TypeError for what one of the parts cannot take.
+    Raises ValueError or TypeError for what one of the parts cannot take, and `UnstableError`.
     """
     encoder_seed, policy_seed, acting_seed = (
         int(word) for word in np.random.SeedSequence([seed, 5]).generate_state(3)
     )
     mean, scale = walk(world, noise, walk_steps).scaling()
-    network = Encoder(world.observation_size, latent_dim, encoder_hidden, mean, scale, seed=encoder_seed)
+    network = Encoder(world.senses, latent_dim, encoder_hidden, mean, scale, seed=encoder_seed)
     encoder = EncoderModel(export_encoder(network))
     learner = GoalPPO(latent_dim, world.action_size, columns=world.columns, seed=policy_seed, **ppo)
     rng = np.random.default_rng(acting_seed)
@@ -53,19 +54,28 @@ def train_on_untrained_encoder(
 
 
 def walk(world: World, noise: Noise, steps: int) -> ExperienceMemory:
-    """A random walk from the centre: BABBLE. `steps` are summed over the world's columns, rounded up."""
+    """A random walk from the centre: BABBLE. `steps` are summed over the world's columns, rounded up.
+
+    A column whose simulation breaks down begins a new episode. Raises `UnstableError` if all steps do.
+    """
+    memory, breakdowns = ExperienceMemory(world.senses), Breakdowns(world.id)
     observed, episodes = [], []
     episode = np.zeros(world.columns, dtype=np.int32)
     observation = world.reset()
     for _ in range(-(-steps // world.columns)):
-        observed.append(observation)
+        observed.append(memory.layout.pack(observation))
         episodes.append(episode)
         step = world.step(noise.sample())
         ended = step.terminated | step.truncated
+        if step.failed is not None and step.failed.any():
+            breakdowns.note(step.failed, segments=0)
+            ended = ended | step.failed
+        else:
+            breakdowns.finish()
         episode = episode + ended.astype(np.int32)
         observation = world.restart(ended) if ended.any() else step.observation
-    memory = ExperienceMemory()
-    memory.extend("walk", np.stack(observed), np.stack(episodes))
+    parts = {part: np.stack([packed[part] for packed in observed]) for part in memory.layout.parts}
+    memory.extend("walk", parts, np.stack(episodes))
     return memory
 
 
@@ -77,14 +87,21 @@ def ground(
     rng: np.random.Generator,
     steps: int,
 ) -> PolicyModel:
-    """Train `ppo` towards the goals of `clock`, the encoder frozen; `steps` in whole rollouts, rounded up."""
-    policy = PolicyModel(export_policy(ppo))
+    """Train `ppo` towards the goals of `clock`, the encoder frozen; `steps` in whole rollouts, rounded up.
+
+    A rollout in which the simulation breaks down is dropped. Raises `UnstableError` if too many are.
+    """
+    policy, breakdowns = PolicyModel(export_policy(ppo)), Breakdowns(world.id)
     observation = world.reset()
     for _ in range(-(-steps // (ppo.settings.steps * ppo.settings.columns))):
-        rows = []
-        for _ in range(ppo.settings.steps):
-            row, observation = transition(world, observation, encoder, policy, clock, rng)
-            rows.append(row)
+        rows: list[Arrays] = []
+        while len(rows) < ppo.settings.steps:
+            row, observation = transition(world, observation, encoder, policy, clock, rng, breakdowns)
+            if row is None:
+                rows.clear()
+            else:
+                rows.append(row)
+        breakdowns.finish()
         ppo.update({name: np.stack([row[name] for row in rows]) for name in rows[0]})
         policy = PolicyModel(export_policy(ppo))
     return policy
@@ -97,14 +114,19 @@ def transition(
     policy: PolicyModel,
     clock: GoalClock,
     rng: np.random.Generator,
-) -> tuple[Arrays, NDArray[np.float32]]:
-    """One step of all columns as PPO wants it, and the observation to go on from.
+    breakdowns: Breakdowns,
+) -> tuple[Arrays | None, NDArray[np.float32]]:
+    """One step of all columns as PPO wants it, None if the simulation broke down, and what to go on from.
 
     A new goal cuts the episode off under the old one; the body stays where it is.
     """
     latent, goal = encoder.latent(observation), clock.goal
     action, log_prob = policy.act(latent, goal, rng)
     step = world.step(action)
+    ended = step.terminated | step.truncated
+    if step.failed is not None and step.failed.any():
+        breakdowns.note(step.failed, segments=1)
+        return None, world.restart(ended | step.failed)
     row: Arrays = {
         "latent": latent,
         "next_latent": encoder.latent(step.observation),
@@ -114,5 +136,4 @@ def transition(
         "truncated": clock.tick() | step.truncated,
         "terminated": step.terminated,
     }
-    ended = step.terminated | step.truncated
     return row, world.restart(ended) if ended.any() else step.observation

@@ -1,48 +1,47 @@
 """The experience an encoder is fitted on, and the pairs close in time drawn from it (thesis 2.1.2)."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float32]
+from babble.observations import IMAGES, VECTORS, Floats, Layout, Parts, Senses
+
+Array = NDArray[Any]
 Indices = NDArray[np.int64]
+
+EPISODES = "episode"
+DTYPES = {VECTORS: np.float32, IMAGES: np.uint8, EPISODES: np.int32}
+"""How each part is held: images stay bytes until a batch is drawn."""
+AT_ONCE = 1 << 23
+"""So many numbers are looked at together for the scaling: 64 MiB of float64."""
+RESOLUTION = 1e-6
+"""What varies by less than this share of its size is taken to be still; float32 rounds at 6e-8."""
 
 
 class ExperienceMemory:
-    """Streams of observations, one per (source, column), each in the order in which it was lived."""
+    """Streams of packed observations, one per (source, column), each in the order in which it was lived."""
 
-    def __init__(self) -> None:
-        self._observations: dict[str, list[Floats]] = {}
-        self._episodes: dict[str, list[NDArray[np.int32]]] = {}
-        self._index: _PairIndex | None = None
+    def __init__(self, senses: Senses) -> None:
+        self.layout = Layout(senses)
         self.steps = 0
         """environment steps held, summed over all streams"""
+        self._held: dict[str, dict[str, list[Array]]] = {}
+        """By source and part: arrays (T, E, ...), one after the other in time."""
+        self._flat: dict[str, Array] | None = None
+        """Once settled, by part: all that is held (N, ...), each stream in one piece."""
+        self._index: _PairIndex | None = None
 
-    def extend(self, source: str, observation: NDArray[Any], episode: NDArray[Any]) -> None:
-        """Append the next (T, E, n) observations of a source, with the episode numbers (T, E) they belong to.
+    def extend(self, source: str, parts: Parts, episode: Array) -> None:
+        """Append a source's next packed observations, (T, E, size) by part, with their episodes (T, E).
 
-        Raises ValueError for shapes that do not fit what is held, or numbers that are not finite.
+        Raises ValueError for parts that are not of these senses, shapes that do not fit what is held, or
+        numbers that are not finite.
         """
-        if observation.ndim != 3 or episode.shape != observation.shape[:2]:
-            got = f"{observation.shape} and {episode.shape}"
-            raise ValueError(f"experience must be (T, E, n) with episodes (T, E), got {got}")
-        held = self._observations.get(source)
-        if held and held[0].shape[1:] != observation.shape[1:]:
-            raise ValueError(
-                f"{source} sent (columns, size) {held[0].shape[1:]} before and now {observation.shape[1:]}"
-            )
-        others = next(iter(self._observations.values()), None)
-        if others and others[0].shape[2] != observation.shape[2]:
-            raise ValueError(
-                f"observations of size {others[0].shape[2]} are held, {source} sent {observation.shape[2]}"
-            )
-        if not np.isfinite(observation).all():
-            raise ValueError(f"{source} sent observations that are not finite numbers")
-        self._observations.setdefault(source, []).append(np.array(observation, dtype=np.float32))
-        self._episodes.setdefault(source, []).append(np.array(episode, dtype=np.int32))
-        self._index = None
-        self.steps += episode.size
+        given = {**parts, EPISODES: episode}
+        self._check(source, parts, episode)
+        self._append(source, {part: np.array(array, DTYPES[part]) for part, array in given.items()})
 
     def sample_pairs(self, rng: np.random.Generator, batch: int, window_steps: int) -> tuple[Floats, Floats]:
         """`batch` anchors and positives, each (B, n), 1..window_steps apart in one episode of one stream.
@@ -50,77 +49,154 @@ class ExperienceMemory:
         The offset is uniform over those that occur; the anchor is uniform over those that have it.
         Raises ValueError when no episode has two steps.
         """
+        flat = self._settled()
         if self._index is None:
-            self._index = _PairIndex(*self._flat())
-        return self._index.sample(rng, batch, window_steps)
+            self._index = _PairIndex(self._episode_numbers(flat[EPISODES]))
+        anchor, positive = self._index.sample(rng, batch, window_steps)
+        return self._observations(flat, anchor), self._observations(flat, positive)
 
-    def scaling(self) -> tuple[Floats, float]:
-        """The mean (n,) of all observations, and one scale: sqrt of the mean variance, 1 if nothing varied.
+    def scaling(self) -> tuple[Floats, Floats]:
+        """Of all observations the mean (n,), and the scale (n,): one number for each sense, repeated.
 
-        Raises ValueError when the memory is empty.
+        That is the square root of the mean variance of the sense's numbers, so that angles, velocities
+        and images come in alike; 1 for a sense that was still. Raises ValueError when the memory is empty.
         """
-        flat = self._flat()[0].astype(np.float64)
-        scale = float(np.sqrt(flat.var(axis=0).mean()))
-        return flat.mean(axis=0).astype(np.float32), scale if scale > 0 else 1.0
+        flat = self._settled()
+        mean, scale = np.empty(self.layout.size, np.float32), np.empty(self.layout.size, np.float32)
+        for name, place in self.layout.slices.items():
+            part, within = self.layout.places[name]
+            means, variances = _moments(flat[part][:, within])
+            spread = np.sqrt(variances.mean())
+            moved = spread > RESOLUTION * np.abs(means).max()
+            mean[place], scale[place] = means, spread if moved else 1.0
+        return mean, scale
 
     def clear(self) -> None:
         """Forget everything."""
-        self._observations.clear()
-        self._episodes.clear()
-        self._index = None
+        self._held.clear()
+        self._flat = self._index = None
         self.steps = 0
 
-    def state(self) -> dict[str, NDArray[Any]]:
-        """Everything held, as arrays named "observation/<source>" and "episode/<source>"."""
+    def state(self) -> dict[str, Array]:
+        """Everything held, (T, E, ...), as arrays named "<part>/<source>"; views, to be stored at once."""
+        if not self.steps:
+            return {}
+        self._settled()
         return {
-            **{
-                f"observation/{source}": np.concatenate(parts) for source, parts in self._observations.items()
-            },
-            **{f"episode/{source}": np.concatenate(parts) for source, parts in self._episodes.items()},
+            f"{part}/{source}": arrays[0]
+            for source, held in self._held.items()
+            for part, arrays in held.items()
         }
 
-    def restore(self, state: dict[str, NDArray[Any]]) -> None:
-        """Hold exactly what `state` gave; what was held is forgotten."""
+    def restore(self, state: Mapping[str, Array]) -> None:
+        """Hold exactly what `state` gave; what was held is forgotten. Raises ValueError for other senses."""
         self.clear()
-        for key, observation in state.items():
+        by_source: dict[str, dict[str, Array]] = {}
+        for key, array in state.items():
             part, _, source = key.partition("/")
-            if part == "observation":
-                self.extend(source, observation, state[f"episode/{source}"])
+            by_source.setdefault(source, {})[part] = array
+        for source, held in by_source.items():
+            episode = held.pop(EPISODES)
+            self._check(source, held, episode)
+            self._append(source, {**held, EPISODES: episode})
 
-    def _flat(self) -> tuple[Floats, Indices]:
-        """All observations (N, n), each stream in one piece, and the episode number (N,) of each.
+    def _append(self, source: str, arrays: Mapping[str, Array]) -> None:
+        held = self._held.setdefault(source, {part: [] for part in (*self.layout.parts, EPISODES)})
+        for part, array in arrays.items():
+            held[part].append(array)
+        self._flat = self._index = None
+        self.steps += arrays[EPISODES].size
 
-        A new number begins wherever the stream or, within it, the episode changes.
-        """
-        if not self._observations:
+    def _check(self, source: str, parts: Parts, episode: Array) -> None:
+        try:
+            self.layout.check(parts)
+        except ValueError as error:
+            raise ValueError(f"experience of {source}: {error}") from None
+        for part, array in parts.items():
+            if episode.ndim != 2 or array.ndim != 3 or array.shape[:2] != episode.shape:
+                got = f"{array.shape} and {episode.shape}"
+                raise ValueError(f"{part} of {source} must be (T, E, n) with episodes (T, E), got {got}")
+            if part == VECTORS and not np.isfinite(array).all():
+                raise ValueError(f"{source} sent observations that are not finite numbers")
+        held = self._held.get(source)
+        if held and held[EPISODES][0].shape[1:] != episode.shape[1:]:
+            before, now = held[EPISODES][0].shape[1], episode.shape[1]
+            raise ValueError(f"{source} sent {before} columns before and now {now}")
+
+    def _settled(self) -> dict[str, Array]:
+        """All that is held by part (N, ...), each stream in one piece; what came in pieces is let go."""
+        if not self.steps:
             raise ValueError("the experience memory is empty")
-        observations, changes = [], []
-        for source, parts in self._observations.items():
-            lived = np.concatenate(parts)
-            episode = np.concatenate(self._episodes[source])
-            change = np.ones(episode.shape, dtype=np.int64)
-            change[1:] = episode[1:] != episode[:-1]
-            observations.append(lived.swapaxes(0, 1).reshape(-1, lived.shape[2]))
-            changes.append(change.T.reshape(-1))
-        return np.concatenate(observations), np.concatenate(changes).cumsum()
+        if self._flat is None:
+            self._flat = {part: self._joined(part, size) for part, size in self._part_shapes().items()}
+        return self._flat
+
+    def _joined(self, part: str, shape: tuple[int, ...]) -> Array:
+        joined, start = np.empty((self.steps, *shape), DTYPES[part]), 0
+        for held in self._held.values():
+            pieces = held[part]
+            columns, steps = pieces[0].shape[1], sum(map(len, pieces))
+            stop = start + columns * steps
+            lived = joined[start:stop].reshape(columns, steps, *shape).swapaxes(0, 1)
+            at = 0
+            while pieces:
+                piece = pieces.pop(0)  # so that no more than one of them is held twice
+                lived[at : at + len(piece)] = piece
+                at += len(piece)
+            pieces.append(lived)
+            start = stop
+        return joined
+
+    def _part_shapes(self) -> dict[str, tuple[int, ...]]:
+        return {**{part: (size,) for part, size in self.layout.parts.items()}, EPISODES: ()}
+
+    def _episode_numbers(self, episodes: Array) -> Indices:
+        """A number (N,) that grows wherever the stream or, within it, the episode changes."""
+        change = np.ones(len(episodes), np.int64)
+        change[1:] = episodes[1:] != episodes[:-1]
+        start = 0
+        for held in self._held.values():
+            steps, columns = held[EPISODES][0].shape
+            change[start : start + steps * columns : steps] = 1
+            start += steps * columns
+        return change.cumsum()
+
+    def _observations(self, flat: Mapping[str, Array], rows: Indices) -> Floats:
+        return self.layout.unpack({part: flat[part][rows] for part in self.layout.parts})
+
+
+def bytes_per_step(layout: Layout) -> int:
+    """The memory that one environment step takes: the packed observation and its episode."""
+    return layout.packed_bytes + np.dtype(DTYPES[EPISODES]).itemsize
+
+
+def _moments(numbers: Array) -> tuple[Array, Array]:
+    """The means and variances (n,) of the columns of (N, n), in float64, some columns at a time."""
+    means, variances = np.empty(numbers.shape[1]), np.empty(numbers.shape[1])
+    width = max(1, AT_ONCE // len(numbers))
+    for start in range(0, numbers.shape[1], width):
+        some = slice(start, start + width)
+        exact = numbers[:, some].astype(np.float64)
+        means[some], variances[some] = exact.mean(axis=0), exact.var(axis=0)
+    return means, variances
 
 
 class _PairIndex:
     """Anchors ordered by the steps that follow them in their episode: those with k or more come first."""
 
-    def __init__(self, observations: Floats, episodes: Indices) -> None:
+    def __init__(self, episodes: Indices) -> None:
         last = np.searchsorted(episodes, episodes, side="right") - 1
         room = last - np.arange(len(episodes))
-        self._observations = observations
         self._order = np.argsort(-room, kind="stable")
         self._most = int(room.max())
         self._anchors_with = np.searchsorted(-room[self._order], -np.arange(self._most + 1), side="right")
 
-    def sample(self, rng: np.random.Generator, batch: int, window_steps: int) -> tuple[Floats, Floats]:
+    def sample(self, rng: np.random.Generator, batch: int, window_steps: int) -> tuple[Indices, Indices]:
+        """Where the anchors and the positives (B,) are."""
         if window_steps < 1 or batch < 1:
             raise ValueError(f"pairs need window_steps >= 1 and batch >= 1, got {window_steps} and {batch}")
         if not self._most:
             raise ValueError("no episode in the experience memory has two steps")
         offset = rng.integers(1, min(window_steps, self._most) + 1, batch)
         anchor = self._order[rng.integers(0, self._anchors_with[offset])]
-        return self._observations[anchor], self._observations[anchor + offset]
+        return anchor, anchor + offset

@@ -6,18 +6,21 @@ Building the graph directly takes about a millisecond and ties neither side to t
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import prod
 
-import numpy as np
-import onnx
-from numpy.typing import NDArray
-from onnx import helper, numpy_helper
+from babble.onnx_graph import Floats, Graph, Layer
 
-Floats = NDArray[np.float32]
-
-OPSET = 17
-IR_VERSION = 8
-"""Old enough for every ONNX Runtime since 2022, and all that these graphs need."""
-
+__all__ = [
+    "CHECKED_ROWS",
+    "TOLERANCE",
+    "EncoderWeights",
+    "ExportError",
+    "EyesWeights",
+    "Layer",
+    "PolicyWeights",
+    "encoder_onnx",
+    "policy_onnx",
+]
 
 TOLERANCE = 1e-5
 """An exported model may be so far off the network that it was made from."""
@@ -33,23 +36,33 @@ class ExportError(RuntimeError):
 
 
 @dataclass(frozen=True)
-class Layer:
-    """An affine layer: y = x @ weight.T + bias."""
+class EyesWeights:
+    """features = tanh(readout(convolutions(image))) of each eye, ReLU after each convolution."""
 
-    weight: Floats
-    """(out, in)"""
-    bias: Floats
-    """(out,)"""
+    start: int
+    """where its images begin in the observation"""
+    shape: tuple[int, ...]
+    """(eyes, height, width, channels)"""
+    convolutions: Sequence[Layer]
+    stride: int
+    padding: int
+    readout: Layer
 
 
 @dataclass(frozen=True)
 class EncoderWeights:
-    """z = softmax(layers((x - mean) / scale)), tanh between the layers (eq. 10)."""
+    """z = softmax(layers(v)), tanh between the layers (eq. 10).
+
+    v = (x - mean) / scale, in which the images are replaced by what the eyes find, put at the end.
+    """
 
     mean: Floats
     """(n,)"""
-    scale: float
+    scale: Floats | float
+    """(n,), or one number for all"""
     layers: Sequence[Layer]
+    eyes: Sequence[EyesWeights] = ()
+    """in the order of their images in x"""
 
 
 @dataclass(frozen=True)
@@ -64,21 +77,20 @@ class PolicyWeights:
 
 def encoder_onnx(weights: EncoderWeights) -> bytes:
     """A model with input observation (B, n) and output latent (B, d), float32."""
-    graph = _Graph()
+    graph, n = Graph(), len(weights.mean)
     graph.constant("mean", weights.mean)
-    graph.constant("scale", np.float32(weights.scale))
+    graph.constant("scale", weights.scale)
     graph.node("Sub", ["observation", "mean"], "centred")
-    graph.node("Div", ["centred", "scale"], "h0")
-    graph.layers(weights.layers, "h0", "logits")
+    graph.node("Div", ["centred", "scale"], "standardised")
+    joined = _joined(graph, "standardised", n, weights.eyes) if weights.eyes else "standardised"
+    graph.layers(weights.layers, joined, "logits")
     graph.node("Softmax", ["logits"], "latent", axis=-1)
-    return graph.model(
-        "encoder", {"observation": len(weights.mean)}, {"latent": len(weights.layers[-1].bias)}
-    )
+    return graph.model("encoder", {"observation": n}, {"latent": len(weights.layers[-1].bias)})
 
 
 def policy_onnx(weights: PolicyWeights) -> bytes:
     """A model with inputs latent and goal (B, d), and outputs mean and log_std (B, a), float32."""
-    graph = _Graph()
+    graph = Graph()
     graph.constant("deviations", weights.log_std)
     graph.node("Concat", ["latent", "goal"], "h0", axis=1)
     graph.layers(weights.layers, "h0", "mean")
@@ -89,41 +101,33 @@ def policy_onnx(weights: PolicyWeights) -> bytes:
     return graph.model("policy", inputs, {"mean": actions, "log_std": actions})
 
 
-class _Graph:
-    """Nodes and constants on their way to a model."""
-
-    def __init__(self) -> None:
-        self._nodes: list[onnx.NodeProto] = []
-        self._constants: list[onnx.TensorProto] = []
-
-    def constant(self, name: str, value: Floats | np.float32) -> None:
-        self._constants.append(numpy_helper.from_array(np.asarray(value, dtype=np.float32), name))
-
-    def node(self, operator: str, inputs: list[str], output: str, **attributes: int) -> None:
-        self._nodes.append(helper.make_node(operator, inputs, [output], **attributes))
-
-    def layers(self, layers: Sequence[Layer], start: str, end: str) -> None:
-        before = start
-        for i, layer in enumerate(layers, start=1):
-            last = i == len(layers)
-            self.constant(f"weight{i}", layer.weight)
-            self.constant(f"bias{i}", layer.bias)
-            after = end if last else f"sum{i}"
-            self.node("Gemm", [before, f"weight{i}", f"bias{i}"], after, transB=1)
-            if not last:
-                self.node("Tanh", [after], f"h{i}")
-                before = f"h{i}"
-
-    def model(self, name: str, inputs: dict[str, int], outputs: dict[str, int]) -> bytes:
-        graph = helper.make_graph(self._nodes, name, _values(inputs), _values(outputs), self._constants)
-        opset = helper.make_opsetid("", OPSET)
-        model = helper.make_model(graph, producer_name="babble", opset_imports=[opset], ir_version=IR_VERSION)
-        onnx.checker.check_model(model, full_check=True)
-        return bytes(model.SerializeToString(deterministic=True))
+def _joined(graph: Graph, value: str, size: int, eyes: Sequence[EyesWeights]) -> str:
+    """The numbers of (B, n) outside the images, in their order, and then the features of the images."""
+    vectors, features, start = [], [], 0
+    for k, some in enumerate(eyes, start=1):
+        stop = some.start + prod(some.shape)
+        if some.start > start:
+            vectors.append(graph.sliced(value, start, some.start, f"vectors{k}"))
+        images = graph.sliced(value, some.start, stop, f"images{k}")
+        features.append(_seen(graph, images, some, f"eyes{k}"))
+        start = stop
+    if size > start:
+        vectors.append(graph.sliced(value, start, size, "vectors"))
+    return graph.node("Concat", [*vectors, *features], "h0", axis=1)
 
 
-def _values(sizes: dict[str, int]) -> list[onnx.ValueInfoProto]:
-    return [
-        helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, ["batch", size])
-        for name, size in sizes.items()
-    ]
+def _seen(graph: Graph, images: str, eyes: EyesWeights, name: str) -> str:
+    """The features (B, eyes * f) of flat images (B, eyes * height * width * channels)."""
+    count, *image = eyes.shape
+    apart = graph.reshaped(images, [-1, *image], f"{name}/apart")
+    maps = graph.node("Transpose", [apart], f"{name}/maps", perm=[0, 3, 1, 2])
+    pads, strides = [eyes.padding] * 4, [eyes.stride] * 2
+    for i, layer in enumerate(eyes.convolutions, start=1):
+        weight = graph.constant(f"{name}/weight{i}", layer.weight)
+        bias = graph.constant(f"{name}/bias{i}", layer.bias)
+        summed = graph.node("Conv", [maps, weight, bias], f"{name}/sum{i}", pads=pads, strides=strides)
+        maps = graph.node("Relu", [summed], f"{name}/maps{i}")
+    flat = graph.reshaped(maps, [-1, eyes.readout.weight.shape[1]], f"{name}/flat")
+    read = graph.affine(flat, eyes.readout, f"/{name}", f"{name}/read")
+    features = graph.node("Tanh", [read], f"{name}/each")
+    return graph.reshaped(features, [-1, count * len(eyes.readout.bias)], name)

@@ -39,8 +39,8 @@ def world_of(settings: RunSettings, columns: int) -> World:
 
 def encoder_of(settings: RunSettings) -> Encoder:
     """An untrained encoder of the run's sizes; what it computes does not change what it costs."""
-    size = world_of(settings, 1).observation_size
-    return Encoder(size, settings.block[0].latent_dim, hidden=settings.encoder.hidden, seed=settings.seed)
+    senses = world_of(settings, 1).senses
+    return Encoder(senses, settings.block[0].latent_dim, hidden=settings.encoder.hidden, seed=settings.seed)
 
 
 def offers_of(settings: RunSettings) -> Sequence[ModelOffer]:

@@ -82,7 +82,7 @@ class StandIn:
 
 def _models(settings: RunSettings) -> list[Model]:
     world = world_of(settings, 1)
-    interface = interface_of(settings, observation_size=world.observation_size, action_size=world.action_size)
+    interface = interface_of(settings, senses=world.senses, action_size=world.action_size)
     block, fingerprint = settings.block[0].name, interface.fingerprint()
     return [
         offer.message(run=RUN, term=1, block=block, life=LIFE, fingerprint=fingerprint)

@@ -31,7 +31,7 @@ def main(encoder_updates: int = 800, policy_steps: int = 32_768) -> dict[str, ob
 
     mean, scale = memory.scaling()
     trainer = EncoderTrainer(
-        Encoder(world.observation_size, LATENT_DIM, mean=mean, scale=scale, seed=0),
+        Encoder(world.senses, LATENT_DIM, mean=mean, scale=scale, seed=0),
         learning_rate=1e-3,
         batch=128,
     )

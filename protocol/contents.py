@@ -30,9 +30,12 @@ class ArrayRule:
 Rules = dict[str, ArrayRule]
 
 _WALKED: Rules = {
-    "observation": ArrayRule("<f4", ("T", "E", "...")),
+    "observation": ArrayRule("<f4", ("T", "E", "..."), required=False),
+    "image": ArrayRule("|u1", ("T", "E", "..."), required=False),
     "episode": ArrayRule("<i4", ("T", "E")),
 }
+_SENSED = ("observation", "image")
+"""What was sensed while walking: vectors, images or both, but not neither."""
 _ACTED: Rules = {
     "latent": ArrayRule("<f4", ("T", "E", "d")),
     "next_latent": ArrayRule("<f4", ("T", "E", "d")),
@@ -41,12 +44,14 @@ _ACTED: Rules = {
     "log_prob": ArrayRule("<f4", ("T", "E")),
     "truncated": ArrayRule("|u1", ("T", "E")),
     "terminated": ArrayRule("|u1", ("T", "E")),
+    "external_reward": ArrayRule("<f4", ("T", "E"), required=False),
 }
 _EVALUATED: Rules = {
     "start_posture": ArrayRule("<f4", ("E", "p"), required=False),
     "posture": ArrayRule("<f4", ("L", "E", "p")),
     "latent": ArrayRule("<f4", ("L", "E", "d")),
     "goal": ArrayRule("<i4", ("L", "E")),
+    "external_reward": ArrayRule("<f4", ("L", "E"), required=False),
 }
 SEGMENT_ARRAYS: dict[str, Rules] = {
     Phase.BABBLE: _WALKED,
@@ -92,6 +97,9 @@ def check_arrays(message: WithArrays) -> None:
         missing = sorted(name for name, rule in rules.items() if rule.required and name not in arrays)
         if missing:
             raise Refused(Reason.BAD_ARRAY, f"{_place(message)} has {sorted(arrays)}, but lacks {missing}")
+    if rules is _WALKED and not any(name in arrays for name in _SENSED):
+        sensed = " nor ".join(_SENSED)
+        raise Refused(Reason.BAD_ARRAY, f"{_place(message)} has {sorted(arrays)}, but neither {sensed}")
 
 
 def _rules(message: WithArrays) -> tuple[Rules, dict[str, int]]:

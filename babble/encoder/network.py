@@ -8,10 +8,14 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
+from babble.encoder.vision import FEATURES, Eyes
+from babble.observations import VECTORS, Layout, Senses
+
 
 class Encoder(nn.Module):
-    """x -> z = softmax(MLP((x - mean) / scale)), with tanh layers; z is (B, latent_dim), its rows sum to 1.
+    """x -> z = softmax(MLP(v)), with tanh layers; z is (B, latent_dim), its rows sum to 1.
 
+    v = (x - mean) / scale, in which `Eyes` have replaced the images by their features, put at the end.
     `mean` and `scale` are part of the model and never trained: set once from phase 1 and frozen,
     else the encoder's input would move under it. `seed` fixes the initial weights without touching
     torch's global generator.
@@ -22,43 +26,60 @@ class Encoder(nn.Module):
 
     def __init__(
         self,
-        observation_size: int,
+        senses: Senses,
         latent_dim: int,
         hidden: Sequence[int] = (64, 64),
         mean: ArrayLike | None = None,
-        scale: float = 1.0,
+        scale: ArrayLike = 1.0,
         *,
+        vision_features: int = FEATURES,
         seed: int | None = None,
     ) -> None:
         super().__init__()
         if latent_dim < 2:
             raise ValueError(f"a simplex needs at least two vertices, got latent_dim {latent_dim}")
-        self.observation_size = observation_size
+        self.layout = Layout(senses)
+        self.observation_size = self.layout.size
         self.latent_dim = latent_dim
         self.hidden = tuple(hidden)
-        self.register_buffer("mean", torch.zeros(observation_size))
-        self.register_buffer("scale", torch.ones(()))
+        self.register_buffer("mean", torch.zeros(self.observation_size))
+        self.register_buffer("scale", torch.ones(self.observation_size))
+        images = self.layout.images.values()
+        joined = self.layout.parts.get(VECTORS, 0) + vision_features * sum(eyes for eyes, *_ in images)
         with torch.random.fork_rng(devices=[], enabled=seed is not None):
             if seed is not None:
                 torch.manual_seed(seed)
-            sizes = [observation_size, *hidden, latent_dim]
-            self.layers = nn.ModuleList(nn.Linear(n, m) for n, m in pairwise(sizes))
-        self.normalise(np.zeros(observation_size) if mean is None else mean, scale)
+            self.layers = nn.ModuleList(nn.Linear(n, m) for n, m in pairwise([joined, *hidden, latent_dim]))
+            self.eyes = nn.ModuleList(Eyes(shape, vision_features) for shape in images)
+        self.normalise(np.zeros(self.observation_size) if mean is None else mean, scale)
 
-    def normalise(self, mean: ArrayLike, scale: float) -> None:
-        """Fix the observation's mean (n,) and scale. Raises ValueError for a wrong shape or scale <= 0."""
-        given = torch.as_tensor(np.asarray(mean, dtype=np.float32))
-        if given.shape != self.mean.shape or not np.isfinite(scale) or scale <= 0:
+    def normalise(self, mean: ArrayLike, scale: ArrayLike) -> None:
+        """Fix the observation's mean (n,) and its scale, one number or (n,).
+
+        Raises ValueError for another shape, or a scale that is not above 0.
+        """
+        given, spread = np.asarray(mean, np.float32), np.asarray(scale, np.float32)
+        fits = given.shape == self.mean.shape and spread.shape in ((), self.mean.shape)
+        if not fits or not np.isfinite(spread).all() or spread.min() <= 0:
             raise ValueError(
                 f"normalisation needs a mean of {self.observation_size} numbers and a positive scale, "
-                f"got shape {tuple(given.shape)} and {scale}"
+                f"got shape {given.shape} and a scale of shape {spread.shape} from {spread.min():g}"
             )
-        self.mean.copy_(given)
-        self.scale.fill_(scale)
+        self.mean.copy_(torch.from_numpy(given))
+        self.scale.copy_(torch.from_numpy(spread))
 
     def forward(self, observation: Tensor) -> Tensor:
         """(B, n) -> (B, d)."""
-        h = (observation - self.mean) / self.scale
+        h = self._joined((observation - self.mean) / self.scale)
         for layer in list(self.layers)[:-1]:
             h = torch.tanh(layer(h))
         return torch.softmax(self.layers[-1](h), dim=-1)
+
+    def _joined(self, standardised: Tensor) -> Tensor:
+        if not self.eyes:
+            return standardised
+        layout = self.layout
+        of = {name: standardised[:, place] for name, place in layout.slices.items()}
+        vectors = [numbers for name, numbers in of.items() if name not in layout.images]
+        seen = [eyes(of[name]) for eyes, name in zip(self.eyes, layout.images, strict=True)]
+        return torch.cat([*vectors, *seen], dim=1)

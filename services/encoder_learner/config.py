@@ -1,15 +1,22 @@
 """What the encoder learner takes from the run's settings."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from babble.blocks import BlockTree
+from babble.memory import bytes_per_step
+from babble.observations import Layout, Senses, part_of
 from protocol.messages import Phase
-from services.runtime.settings import EncoderSettings, FitSettings, RunSettings
+from services.runtime.settings import EncoderSettings, FitSettings, RunSettings, SettingsError
 
 COLLECTS = frozenset({Phase.BABBLE, Phase.WALK})
 FITS = frozenset({Phase.ENCODE, Phase.REFINE})
+
+MOST_BYTES = 8 * 10**9
+"""What the held experience may take, with the copy of it that each checkpoint makes."""
+COPIES = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,7 +24,8 @@ class EncoderWorkConfig:
     """The settings of one block's encoder."""
 
     block: str
-    observation_size: int
+    senses: Senses
+    """what it observes, or one vector of its children's latents"""
     latent_dim: int
     encoder: EncoderSettings
     segment_steps: int
@@ -30,14 +38,43 @@ class EncoderWorkConfig:
         return self.encoder.encode if phase is Phase.ENCODE else self.encoder.refine
 
 
-def work_config(settings: RunSettings, tree: BlockTree, block: str, index: int) -> EncoderWorkConfig:
-    """The configuration of one block; `index` is its place in the tree, for the seed."""
+def work_config(
+    settings: RunSettings, tree: BlockTree, senses: Senses, block: str, index: int
+) -> EncoderWorkConfig:
+    """The configuration of one block; `senses` are the world's, `index` its place in the tree, for the seed.
+
+    Raises `SettingsError` for a block that observes part of an image.
+    """
     return EncoderWorkConfig(
         block=block,
-        observation_size=tree.observation_size_of(block),
+        senses=_senses_of(tree, senses, block),
         latent_dim=settings.one_block(block).latent_dim,
         encoder=settings.encoder,
         segment_steps=settings.actors.segment_steps,
         steps={Phase.BABBLE: settings.phases.babble_steps, Phase.WALK: settings.phases.walk_steps},
         seed=int(np.random.SeedSequence([settings.seed, 1, index]).generate_state(1)[0]),
     )
+
+
+def check_memory(configs: Iterable[EncoderWorkConfig]) -> None:
+    """Raises `SettingsError` where the experience of all blocks would take more than `MOST_BYTES`."""
+    held = {
+        config.block: max(config.steps.values()) * bytes_per_step(Layout(config.senses)) for config in configs
+    }
+    needed = COPIES * sum(held.values())
+    if needed > MOST_BYTES:
+        most = max(held, key=lambda block: held[block])
+        raise SettingsError(
+            f"the encoder learner would need {needed / 1e9:.1f} GB to hold and checkpoint the experience of "
+            f"a phase (most for block {most!r}), over its limit of {MOST_BYTES / 1e9:.0f} GB; lower "
+            "phases.babble_steps and phases.walk_steps, or the resolution of the world's senses"
+        )
+
+
+def _senses_of(tree: BlockTree, senses: Senses, block: str) -> Senses:
+    if tree.specs[block].children:
+        return {"latent": (tree.observation_size_of(block),)}
+    try:
+        return part_of(senses, tree.observed(block))
+    except ValueError as error:
+        raise SettingsError(f"block {block!r}: {error}") from None

@@ -9,7 +9,7 @@ import torch
 from babble.encoder.export import export_encoder
 from babble.encoder.network import Encoder
 from babble.encoder.training import EncoderTrainer
-from babble.memory import ExperienceMemory
+from babble.memory import EPISODES, ExperienceMemory
 from protocol.messages import Phase, PhaseAnnounced, Progress, Score, Segment
 from services.encoder_learner.config import COLLECTS, FITS, EncoderWorkConfig
 from services.runtime.intake import Want
@@ -27,7 +27,7 @@ class EncoderWork:
     def __init__(self, config: EncoderWorkConfig) -> None:
         self.block = config.block
         self._config = config
-        self._memory = ExperienceMemory()
+        self._memory = ExperienceMemory(config.senses)
         # Made at once: a process's first optimiser costs torch seconds, which pass while actors babble.
         self._trainer = _new_trainer(config)
         self._scaled = False
@@ -36,7 +36,7 @@ class EncoderWork:
         self._updates_done = 0
         self._updates_total = 0
         self._fitted = False
-        self._parts: dict[str, tuple[int, int]] = {}
+        self._streams: dict[str, tuple[int, int]] = {}
         """By life: the stream it is in, and the step that follows in it."""
         self._offer: ModelOffer | None = None
         self._metrics: dict[str, float] = {}
@@ -46,7 +46,7 @@ class EncoderWork:
         self._phase = announced.phase
         if announced.phase in COLLECTS:
             self._memory.clear()
-            self._parts.clear()
+            self._streams.clear()
         elif announced.phase in FITS:
             fit = self._config.fit(announced.phase)
             self._updates_done = 0
@@ -57,23 +57,26 @@ class EncoderWork:
             self._trainer.begin_fit(window_steps=fit.window_steps, temperature=fit.temperature)
 
     def take(self, segment: Segment) -> bool:
-        """Add observations; anything beyond what the phase wants is still welcome."""
-        if self._phase not in COLLECTS or "observation" not in segment.arrays:
+        """Add observations; anything beyond what the phase wants is still welcome.
+
+        Raises ValueError for what does not fit the senses or the earlier segments of its sender.
+        """
+        if self._phase not in COLLECTS or EPISODES not in segment.arrays:
             return False
-        self._memory.extend(self._stream(segment), segment.arrays["observation"], segment.arrays["episode"])
+        parts = {part: array for part, array in segment.arrays.items() if part != EPISODES}
+        stream = self._stream_of(segment)
+        self._memory.extend(f"{segment.life}/{stream}", parts, segment.arrays[EPISODES])
+        self._streams[segment.life] = stream, segment.first_step + segment.steps
         return True
 
-    def _stream(self, segment: Segment) -> str:
-        """A name for what this segment goes on from.
+    def _stream_of(self, segment: Segment) -> int:
+        """The number of the stream that this segment belongs to.
 
-        Where steps are missing (another block was granted, this one was not), a new stream begins, so
-        that positives (eq. 4) are never taken across a gap.
+        Where steps are missing (another block was granted, this one was not; or a segment could not be
+        used), a new one begins, so that positives (eq. 4) are never taken across a gap.
         """
-        part, expected = self._parts.get(segment.life, (0, segment.first_step))
-        if segment.first_step != expected:
-            part += 1
-        self._parts[segment.life] = (part, segment.first_step + segment.steps)
-        return f"{segment.life}/{part}"
+        stream, expected = self._streams.get(segment.life, (0, segment.first_step))
+        return stream if segment.first_step == expected else stream + 1
 
     def advance(self) -> bool:
         """A few updates of the encoder, if this is a fit and not done."""
@@ -147,7 +150,7 @@ class EncoderWork:
                 "updates_done": self._updates_done,
                 "updates_total": self._updates_total,
                 "fitted": self._fitted,
-                "parts": self._parts,
+                "streams": self._streams,
                 "memory": {name: torch.from_numpy(array) for name, array in self._memory.state().items()},
                 "scaled": self._scaled,
                 "trainer": self._trainer.state(),
@@ -165,7 +168,7 @@ class EncoderWork:
         self._updates_done = saved["updates_done"]
         self._updates_total = saved["updates_total"]
         self._fitted = saved["fitted"]
-        self._parts = saved["parts"]
+        self._streams = saved["streams"]
         self._memory.restore({name: tensor.numpy() for name, tensor in saved["memory"].items()})
         self._scaled = saved["scaled"]
         self._trainer.restore(saved["trainer"])
@@ -187,9 +190,10 @@ class EncoderWork:
 
 def _new_trainer(config: EncoderWorkConfig) -> EncoderTrainer:
     encoder = Encoder(
-        config.observation_size,
+        config.senses,
         config.latent_dim,
         hidden=tuple(config.encoder.hidden),
+        vision_features=config.encoder.vision_features,
         seed=config.seed,
     )
     return EncoderTrainer(
