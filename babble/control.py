@@ -135,5 +135,6 @@ def transition(
         "log_prob": log_prob,
         "truncated": clock.tick() | step.truncated,
         "terminated": step.terminated,
+        "external_reward": step.external_reward,
     }
     return row, world.restart(ended) if ended.any() else step.observation

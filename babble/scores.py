@@ -4,20 +4,37 @@ Separation alone proves nothing (an untrained encoder reaches 0.94 in a box), so
 carries z_min too.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Sequence
 from itertools import combinations
-from typing import Any, Literal, Protocol, TypedDict
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
-from babble.policy.goals import WalkClock
+from babble.blocks import BlockTree
+from babble.landmarks import Landmark
+from babble.legs import Acts, Encodes, Legs, Path, Walk, Walker, walk_blocks, walk_legs
 from babble.worlds.batch import World
 
-Floats = NDArray[np.float32]
+__all__ = [
+    "REACHED",
+    "Acts",
+    "Encodes",
+    "Legs",
+    "Path",
+    "ScoreValues",
+    "Walk",
+    "Walker",
+    "landmarks_of",
+    "score",
+    "walk_blocks",
+    "walk_legs",
+]
+
 REACHED = 0.9
 """A goal counts as reached when its component of the latent is at least this."""
+
+Doubles = NDArray[np.float64]
 
 
 class ScoreValues(TypedDict):
@@ -29,46 +46,27 @@ class ScoreValues(TypedDict):
     z_goal: float
     switch_success: float
     crossing: float | None
+    landmarks: dict[str, float]
+    landmark_vertices: dict[str, int]
+    external_reward: float | None
+    external_reward_by_vertex: list[float | None] | None
 
 
-class Encodes(Protocol):
-    """The encoder as scores need it; babble.policy.act.EncoderModel."""
+def landmarks_of(world: World, tree: BlockTree) -> tuple[Landmark, ...]:
+    """The landmarks by which the blocks that move a world are scored.
 
-    @property
-    def latent_dim(self) -> int:
-        """d"""
-        ...
-
-    def latent(self, observation: Floats) -> Floats:
-        """(E, n) -> (E, d)."""
-        ...
+    A landmark is a posture of the whole body, so it is asked of a block that moves all of it, and of
+    none that moves a part beside others.
+    """
+    return world.landmarks if len(tree.level(0)) == 1 else ()
 
 
-class Acts(Protocol):
-    """The policy as scores need it; babble.policy.act.PolicyModel."""
-
-    def act(
-        self, z: Floats, g: Floats, rng: np.random.Generator, mode: Literal["sampled", "mean"] = "sampled"
-    ) -> tuple[Floats, Floats]:
-        """Actions (E, a) and their log probabilities (E,)."""
-        ...
-
-
-@dataclass(frozen=True)
-class Legs:
-    """Where each leg ended: L legs of E columns."""
-
-    posture: NDArray[Any]
-    """(L, E, p)"""
-    latent: NDArray[Any]
-    """(L, E, d)"""
-    goal: NDArray[Any]
-    """(L, E) the vertex that was aimed at"""
-    start_posture: NDArray[Any] | None = None
-    """(E, p) where the columns began"""
-
-
-def score(legs: Legs, diameter: float, crossing_axis: int | None = None) -> ScoreValues:
+def score(
+    legs: Legs,
+    diameter: float,
+    crossing_axis: int | None = None,
+    landmarks: Sequence[Landmark] = (),
+) -> ScoreValues:
     """The measures of an evaluation. The first leg is not scored: it started somewhere, not at a vertex.
 
     - separation: how far apart the ends for different goals are, over the diameter. For two vertices
@@ -77,120 +75,95 @@ def score(legs: Legs, diameter: float, crossing_axis: int | None = None) -> Scor
     - z_min: the mean of z_j at the ends of legs to vertex j, for the worst j that was a goal; z_goal:
       the mean over all legs; switch_success: the share of legs with z_goal >= 0.9.
     - crossing: the share of consecutive legs that end on opposite sides of `crossing_axis`.
+    - landmarks: of the legs to the vertex that stands for a landmark, the share that ended at it. At
+      most one vertex stands for a landmark and one landmark for a vertex, so that the sum of the shares
+      is greatest; landmark_vertices says which. One that no leg reached has share 0 and no vertex.
+    - external_reward: the mean over legs of the task's own reward per step in a leg's second half, and
+      the same by vertex (None for one that was no goal). None if no leg has any: there is no task.
 
     Raises ValueError for fewer than three legs, or arrays that do not fit together.
     """
-    shape = legs.goal.shape
-    if len(legs.goal) < 3 or legs.posture.shape[:2] != shape or legs.latent.shape[:2] != shape:
-        raise ValueError(
-            "a score needs three or more legs with posture (L, E, p), latent (L, E, d) and goal (L, E), "
-            f"got {legs.posture.shape}, {legs.latent.shape} and {legs.goal.shape}"
-        )
+    _check(legs)
     posture, goal = legs.posture[1:].astype(np.float64), legs.goal[1:].astype(np.int64)
     at_goal = np.take_along_axis(legs.latent[1:].astype(np.float64), goal[:, :, None], axis=2)[:, :, 0]
-    visited = np.unique(goal)
-    apart = _apart(posture, goal, visited, legs.latent.shape[2]) / diameter
-    crossing = None
-    if crossing_axis is not None:
-        side = np.sign(posture[:, :, crossing_axis])
-        crossing = float((side[1:] * side[:-1] < 0).mean())
+    visited, latent_dim = np.unique(goal), legs.latent.shape[2]
+    apart = _apart(posture, goal, visited, latent_dim) / diameter
+    shares, vertices = _reached(landmarks, posture, goal, visited)
+    external, by_vertex = _external(legs, goal, latent_dim)
     return ScoreValues(
         separation=float(apart.mean()),
         separation_worst=float(apart.min()),
         z_min=float(min(at_goal[goal == vertex].mean() for vertex in visited)),
         z_goal=float(at_goal.mean()),
         switch_success=float((at_goal >= REACHED).mean()),
-        crossing=crossing,
+        crossing=None if crossing_axis is None else _crossing(posture[:, :, crossing_axis]),
+        landmarks=shares,
+        landmark_vertices=vertices,
+        external_reward=external,
+        external_reward_by_vertex=by_vertex,
     )
 
 
-@dataclass(frozen=True)
-class Walker:
-    """One block's models, and which part of the body they see and move."""
-
-    encoder: Encodes
-    policy: Acts
-    observed: NDArray[np.intp]
-    """indices of the world's observation"""
-    driven: NDArray[np.intp]
-    """indices of the world's action"""
-
-
-def walk_legs(
-    world: World,
-    encoder: Encodes,
-    policy: Acts,
-    rng: np.random.Generator,
-    legs: int,
-    leg_steps: int,
-    mode: Literal["sampled", "mean"] = "mean",
-) -> Legs:
-    """The legs of one block that sees and moves the whole body; see `walk_blocks`."""
-    walker = Walker(encoder, policy, np.arange(world.observation_size), np.arange(world.action_size))
-    return walk_blocks(world, {"": walker}, rng, legs, leg_steps, mode)[""]
-
-
-def walk_blocks(
-    world: World,
-    walkers: Mapping[str, Walker],
-    rng: np.random.Generator,
-    legs: int,
-    leg_steps: int,
-    mode: Literal["sampled", "mean"] = "mean",
-) -> dict[str, Legs]:
-    """Send all columns from random starts to `legs` vertices, `leg_steps` each, never one twice in a row.
-
-    All blocks walk at once, each to vertices of its own; returns the legs by block.
-    """
-    clocks = {
-        block: WalkClock(world.columns, walker.encoder.latent_dim, leg_steps, rng)
-        for block, walker in walkers.items()
-    }
-    observation = world.reset("random")
-    start = world.posture()
-    postures: list[Floats] = []
-    ends: dict[str, list[tuple[Floats, NDArray[np.int32]]]] = {block: [] for block in walkers}
-    for _ in range(legs):
-        goals = {block: (clock.index.astype(np.int32), clock.goal) for block, clock in clocks.items()}
-        for _ in range(leg_steps):
-            action = _acted(world, walkers, observation, {b: g for b, (_, g) in goals.items()}, rng, mode)
-            observation = world.step(action).observation
-            for clock in clocks.values():
-                clock.tick()
-        postures.append(world.posture())
-        for block, walker in walkers.items():
-            ends[block].append((walker.encoder.latent(observation[:, walker.observed]), goals[block][0]))
-    return {
-        block: Legs(
-            posture=np.stack(postures),
-            latent=np.stack([latent for latent, _ in reached]),
-            goal=np.stack([goal for _, goal in reached]),
-            start_posture=start,
+def _check(legs: Legs) -> None:
+    shape = legs.goal.shape
+    rewards = legs.external_reward
+    fits = legs.posture.shape[:2] == shape and legs.latent.shape[:2] == shape
+    if len(legs.goal) < 3 or not fits or (rewards is not None and rewards.shape != shape):
+        also = "" if rewards is None else f", and external_reward {rewards.shape}"
+        raise ValueError(
+            "a score needs three or more legs with posture (L, E, p), latent (L, E, d), goal (L, E) and "
+            f"perhaps external_reward (L, E), got {legs.posture.shape}, {legs.latent.shape} and "
+            f"{legs.goal.shape}{also}"
         )
-        for block, reached in ends.items()
-    }
 
 
-def _acted(
-    world: World,
-    walkers: Mapping[str, Walker],
-    observation: Floats,
-    goals: Mapping[str, Floats],
-    rng: np.random.Generator,
-    mode: Literal["sampled", "mean"],
-) -> Floats:
-    """The action (E, a) of all blocks together; what no block drives stays at 0."""
-    action = np.zeros((world.columns, world.action_size), np.float32)
-    for block, walker in walkers.items():
-        latent = walker.encoder.latent(observation[:, walker.observed])
-        action[:, walker.driven], _ = walker.policy.act(latent, goals[block], rng, mode)
-    return action
-
-
-def _apart(
-    posture: NDArray[np.float64], goal: NDArray[np.int64], visited: NDArray[np.int64], latent_dim: int
-) -> NDArray[np.float64]:
+def _apart(posture: Doubles, goal: NDArray[np.int64], visited: NDArray[np.int64], latent_dim: int) -> Doubles:
     if latent_dim == 2:
         return np.asarray(np.linalg.norm(posture[1:] - posture[:-1], axis=2))
     ends = [posture[goal == vertex].mean(axis=0) for vertex in visited]
     return np.array([np.linalg.norm(one - other) for one, other in combinations(ends, 2)])
+
+
+def _crossing(place: Doubles) -> float:
+    side = np.sign(place)
+    return float((side[1:] * side[:-1] < 0).mean())
+
+
+def _reached(
+    landmarks: Sequence[Landmark], posture: Doubles, goal: NDArray[np.int64], visited: NDArray[np.int64]
+) -> tuple[dict[str, float], dict[str, int]]:
+    """The share of each landmark, and the vertex that stands for it."""
+    at = {landmark.name: landmark.at(posture) for landmark in landmarks}
+    shares = {name: {int(v): float(there[goal == v].mean()) for v in visited} for name, there in at.items()}
+    vertices = _assigned(shares)
+    found = {name: shares[name][vertices[name]] if name in vertices else 0.0 for name in shares}
+    return found, vertices
+
+
+def _assigned(shares: dict[str, dict[int, float]]) -> dict[str, int]:
+    """Landmark -> vertex, each at most once, with the greatest sum of shares; none where the share is 0.
+
+    Goes through the vertices and keeps, for each set of landmarks, the best way to have placed it so far.
+    """
+    best: dict[frozenset[str], tuple[float, dict[str, int]]] = {frozenset(): (0.0, {})}
+    for vertex in sorted({vertex for by_vertex in shares.values() for vertex in by_vertex}):
+        for placed, (total, chosen) in list(best.items()):
+            for name in (name for name in shares if name not in placed):
+                share, more = shares[name][vertex], placed | {name}
+                if share > 0 and (more not in best or total + share > best[more][0]):
+                    best[more] = (total + share, {**chosen, name: vertex})
+    _, found = max(best.values(), key=lambda way: way[0])
+    return {name: found[name] for name in shares if name in found}
+
+
+def _external(
+    legs: Legs, goal: NDArray[np.int64], latent_dim: int
+) -> tuple[float | None, list[float | None] | None]:
+    if legs.external_reward is None or not legs.external_reward.any():
+        return None, None
+    rewards = legs.external_reward[1:].astype(np.float64)
+    by_vertex = [
+        float(rewards[goal == vertex].mean()) if (goal == vertex).any() else None
+        for vertex in range(latent_dim)
+    ]
+    return float(rewards.mean()), by_vertex

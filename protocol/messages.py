@@ -110,11 +110,11 @@ class Segment(WithArrays):
     The arrays by phase, as contents.py checks them (T = steps, E = columns, L = evaluation legs,
     d = latent dimension):
 
-    - BABBLE, WALK: observation (T, E, ...) float32; episode (T, E) int32.
+    - BABBLE, WALK: observation (T, E, ...) float32, image (T, E, ...) uint8 or both; episode (T, E) int32.
     - GROUND, PRACTISE: latent, next_latent, goal (T, E, d), action (T, E, a), log_prob (T, E)
-      float32; truncated, terminated (T, E) uint8.
+      float32; truncated, terminated (T, E) uint8; and perhaps external_reward (T, E) float32.
     - EVALUATE: posture (L, E, p), latent (L, E, d) float32, goal (L, E) int32, and perhaps
-      start_posture (E, p) float32.
+      start_posture (E, p) and external_reward (L, E) float32.
     """
 
     kind: ClassVar[str] = "segment"
@@ -194,6 +194,13 @@ class Score(Strict):
     z_goal: Finite
     switch_success: Finite
     crossing: Finite | None = None
+    landmarks: Annotated[dict[Label, Finite], Field(max_length=MAX_ENTRIES)] = {}
+    """The share of legs that ended at each landmark of the body, where it has any."""
+    landmark_vertices: Annotated[dict[Label, Count], Field(max_length=MAX_ENTRIES)] = {}
+    """The vertex that stands for a landmark; one that was never reached has none."""
+    external_reward: Finite | None = None
+    """Per step; None where there is no task."""
+    external_reward_by_vertex: Annotated[list[Finite | None], Field(max_length=MAX_ENTRIES)] | None = None
     policy: Literal["mean", "sampled"]
     steps: Count
     encoder_version: Count = 0

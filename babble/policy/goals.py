@@ -35,6 +35,20 @@ def reward(
             raise ValueError(f"there is no reward form {form!r}; choose squared, dense or sparse")
 
 
+def weighted(
+    goal_reward: Floats, external_reward: Floats | None, goal_weight: float, external_weight: float
+) -> Floats:
+    """What the policy is trained on (...): the goal's reward, and the task's own where it has a weight.
+
+    The task's reward is eq. 1 for standing up; the thesis combines the two in no equation, so it is
+    their weighted sum.
+    """
+    rewards = np.float32(goal_weight) * goal_reward
+    if external_reward is not None:
+        rewards = rewards + np.float32(external_weight) * external_reward
+    return np.asarray(rewards, np.float32)
+
+
 class _Clock:
     """Each column's goal and the steps it still holds."""
 

@@ -16,7 +16,7 @@ from torch import nn
 
 from babble import rng_state
 from babble.onnx_model import Layer, PolicyWeights
-from babble.policy.goals import reward
+from babble.policy.goals import reward, weighted
 from babble.policy.sb3 import ADAM_EPSILON, PPOSettings, build_ppo
 
 Floats = NDArray[np.float32]
@@ -57,8 +57,9 @@ class GoalPPO:
         """Train on one rollout of (T, M, ...) arrays; returns the metrics, 0 for one that is undefined.
 
         Keys: latent, next_latent, goal (T, M, d), action (T, M, a), log_prob (T, M) of the policy
-        that acted, truncated and terminated (T, M). A truncated step is bootstrapped with the value
-        of [next_latent, goal], the goal being the old one. Raises ValueError for arrays that do not fit.
+        that acted, truncated and terminated (T, M), and external_reward (T, M) if it has a weight. A
+        truncated step is bootstrapped with the value of [next_latent, goal], the goal being the old one.
+        Raises ValueError for arrays that do not fit.
         """
         self._check(rollout)
         rewards = self._rewards(rollout)
@@ -70,6 +71,8 @@ class GoalPPO:
         metrics = {name: float(log[key]) for name, key in METRICS.items()}
         metrics["entropy"] = -float(log["train/entropy_loss"])
         metrics["reward_mean"] = float(rewards.mean())
+        if self.settings.external_weight:
+            metrics["external_reward_mean"] = float(rollout["external_reward"].mean())
         return {name: value if np.isfinite(value) else 0.0 for name, value in metrics.items()}
 
     def value(self, z: NDArray[Any], g: NDArray[Any]) -> Floats:
@@ -123,8 +126,10 @@ class GoalPPO:
         self.updates = state["updates"]
 
     def _rewards(self, rollout: Rollout) -> Floats:
-        form, radius = self.settings.reward_form, self.settings.sparse_radius
-        return reward(rollout["next_latent"], rollout["goal"], form, radius)
+        settings = self.settings
+        goal = reward(rollout["next_latent"], rollout["goal"], settings.reward_form, settings.sparse_radius)
+        external = rollout["external_reward"] if settings.external_weight else None
+        return weighted(goal, external, settings.goal_weight, settings.external_weight)
 
     def _fill(self, rollout: Rollout, rewards: Floats) -> None:
         """SB3's rollout buffer from the arrays, with advantages."""
@@ -148,7 +153,8 @@ class GoalPPO:
         frame = (self.settings.steps, self.settings.columns)
         shapes = dict.fromkeys(("latent", "next_latent", "goal"), (*frame, self.latent_dim))
         shapes["action"] = (*frame, self.action_size)
-        for name in (*shapes, "log_prob", "truncated", "terminated"):
+        external = ("external_reward",) if self.settings.external_weight else ()
+        for name in (*shapes, "log_prob", "truncated", "terminated", *external):
             shape = shapes.get(name, frame)
             if name not in rollout:
                 raise ValueError(f"the rollout has no {name}")

@@ -40,6 +40,9 @@ class PPOSettings:
     """initial log standard deviation of the actions"""
     reward_form: RewardForm = "squared"
     sparse_radius: float = 0.1
+    goal_weight: float = 1.0
+    external_weight: float = 0.0
+    """of the task's own reward beside the goal's; without it rollouts need no external_reward"""
     seed: int = 0
 
 

@@ -2,6 +2,9 @@
 
 All blocks of a level act in the same worlds at the same time. Models are swapped only at the
 border of a segment, so a segment has one encoder and one policy version.
+
+When a simulation breaks down, the unfinished segments of all blocks are dropped: no number of it
+is ever published. What follows is a new episode in every column, for there are steps missing.
 """
 
 from dataclasses import dataclass
@@ -10,13 +13,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from babble.breakdowns import Breakdowns
 from babble.noise import make_noise
 from babble.policy.goals import GoalClock, WalkClock
-from babble.scores import Walker, walk_blocks
 from babble.segments import SegmentBuilder
+from babble.worlds.batch import Flags, Step
 from protocol.messages import Phase
 from services.actor.config import Body
-from services.actor.models import Held, ModelShelf
+from services.actor.models import ModelShelf
 from services.actor.ways import Floats, PolicyMode, PractiseWay, RandomWay, Record, WalkWay, Way
 from services.runtime.settings import RunSettings
 
@@ -45,36 +49,48 @@ class Collector(Protocol):
         """True between two segments."""
 
     def advance(self, steps: int) -> list[Finished]:
-        """Step the worlds up to `steps` times, at most to the end of the segment."""
+        """Step the worlds up to `steps` times, at most to the end of the segment.
+
+        Raises `babble.breakdowns.UnstableError` if their simulation breaks down again and again.
+        """
 
 
 class SegmentCollector:
     """BABBLE, WALK, GROUND and PRACTISE: step, record, build segments."""
 
-    def __init__(self, body: Body, ways: dict[str, Way], *, segment_steps: int, observation: Floats) -> None:
+    def __init__(
+        self,
+        body: Body,
+        ways: dict[str, Way],
+        *,
+        segment_steps: int,
+        observation: Floats,
+        breakdowns: Breakdowns,
+    ) -> None:
         self.env_steps = 0
         self.observation = observation
+        self._breakdowns = breakdowns
         self._body = body
         self._ways = ways
         self._columns = body.world.columns
         self._episode = np.zeros(self._columns, np.int32)
         self._segment_steps = segment_steps
         self._builders = {block: SegmentBuilder(segment_steps, self._columns) for block in ways}
-        self._segments_done = 0
+        self._steps = self._first_step = 0
 
     def at_border(self) -> bool:
         """True between two segments."""
         return all(len(builder) == 0 for builder in self._builders.values())
 
     def advance(self, steps: int) -> list[Finished]:
-        """Step up to `steps` times; the blocks' segments end together."""
+        """Step up to `steps` times; the blocks' segments end together, or are dropped together."""
         if self.at_border():
+            self._first_step = self._steps
             for way in self._ways.values():
                 way.begin_segment()
         for _ in range(steps):
             finished = self._step_once()
-            if finished:
-                self._segments_done += 1
+            if self.at_border():
                 return finished
         return []
 
@@ -85,7 +101,11 @@ class SegmentCollector:
         for block, way in self._ways.items():
             action[:, tree.driven(block)] = way.act(before[:, tree.observed(block)])
         step = world.step(action)
+        self._steps += 1
         self.env_steps += self._columns
+        if step.failed is not None and step.failed.any():
+            self._drop(step, step.failed)
+            return []
         finished = []
         for block, way in self._ways.items():
             seen = tree.observed(block)
@@ -96,7 +116,16 @@ class SegmentCollector:
         ended = step.terminated | step.truncated
         self.observation = world.restart(ended) if ended.any() else step.observation
         self._episode = self._episode + ended.astype(np.int32)
+        if finished:
+            self._breakdowns.finish()
         return finished
+
+    def _drop(self, step: Step, failed: Flags) -> None:
+        for builder in self._builders.values():
+            builder.discard()
+        self._breakdowns.note(failed, segments=len(self._builders))
+        self.observation = self._body.world.restart(failed | step.terminated | step.truncated)
+        self._episode = self._episode + np.int32(1)
 
     def _finish(self, block: str, way: Way, arrays: dict[str, NDArray[np.generic]]) -> Finished:
         return Finished(
@@ -107,69 +136,8 @@ class SegmentCollector:
             policy_version=way.held.policy_version,
             steps=self._segment_steps,
             columns=self._columns,
-            first_step=self._segments_done * self._segment_steps,
+            first_step=self._first_step,
         )
-
-
-class EvaluationCollector:
-    """EVALUATE: legs from random starts in fresh worlds; what is trained on is left where it is."""
-
-    def __init__(
-        self,
-        body: Body,
-        blocks: list[str],
-        shelf: ModelShelf,
-        settings: RunSettings,
-        rng: np.random.Generator,
-    ) -> None:
-        self.env_steps = 0
-        self.mode: PolicyMode = "mean"
-        self._body = body
-        self._blocks = blocks
-        self._shelf = shelf
-        self._settings = settings.evaluation
-        self._rng = rng
-        self._done = 0
-
-    def at_border(self) -> bool:
-        """Always: an evaluation is done in one go."""
-        return True
-
-    def advance(self, steps: int) -> list[Finished]:
-        """All legs of one set of fresh columns, all blocks at once."""
-        if self.mode == "random":
-            raise RuntimeError("an evaluation acts by the policy, never at random")
-        world, settings = self._body.world, self._settings
-        held = {block: self._shelf.of(block) for block in self._blocks}
-        walkers = {block: self._walker(block, models) for block, models in held.items()}
-        walked = walk_blocks(world, walkers, self._rng, settings.legs, settings.leg_steps, self.mode)
-        steps_done = settings.legs * settings.leg_steps
-        self.env_steps += steps_done * world.columns
-        self._done += 1
-        return [
-            Finished(
-                block=block,
-                arrays={
-                    "start_posture": np.asarray(legs.start_posture),
-                    "posture": legs.posture,
-                    "latent": legs.latent,
-                    "goal": legs.goal,
-                },
-                policy=self.mode,
-                encoder_version=held[block].encoder_version,
-                policy_version=held[block].policy_version,
-                steps=steps_done,
-                columns=world.columns,
-                first_step=(self._done - 1) * steps_done,
-            )
-            for block, legs in walked.items()
-        ]
-
-    def _walker(self, block: str, held: Held) -> Walker:
-        if held.encoder is None or held.policy is None:
-            raise RuntimeError(f"block {block} was evaluated before it held an encoder and a policy")
-        tree = self._body.tree
-        return Walker(held.encoder, held.policy, tree.observed(block), tree.driven(block))
 
 
 def ways_of(
@@ -195,11 +163,12 @@ def ways_of(
                 correlation=settings.babbling.correlation,
                 hold_steps=settings.babbling.hold_steps,
             )
-            ways[block] = RandomWay(noise)
+            ways[block] = RandomWay(noise, body.layouts[block].pack)
         elif phase is Phase.WALK:
             walk = WalkClock(columns, latent_dim, settings.goals.walk_steps_per_goal, rng)
-            ways[block] = WalkWay(block, shelf, walk, rng)
+            ways[block] = WalkWay(block, shelf, walk, rng, body.layouts[block].pack)
         else:
             clock = GoalClock(columns, latent_dim, settings.goals.period_steps, rng)
-            ways[block] = PractiseWay(block, shelf, clock, rng)
+            external = settings.goals.external_weight != 0
+            ways[block] = PractiseWay(block, shelf, clock, rng, external=external)
     return ways

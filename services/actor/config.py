@@ -1,14 +1,17 @@
 """What an actor takes from the run's settings."""
 
 import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from babble.blocks import BlockTree
+from babble.observations import Layout, part_of
 from babble.worlds import make
 from babble.worlds.batch import World
-from services.runtime.settings import RunSettings
+from services.runtime.settings import RunSettings, SettingsError
 
 
 @dataclass(frozen=True)
@@ -17,17 +20,44 @@ class Body:
 
     world: World
     tree: BlockTree
+    layouts: Mapping[str, Layout]
+    """of what each block of level 0 observes"""
+
+    @classmethod
+    def of(cls, world: World, settings: RunSettings) -> "Body":
+        """The run's blocks on a world. Raises BlockError or ValueError for blocks that do not fit it."""
+        tree = BlockTree.of(settings.block, world.observation_size, world.action_size)
+        layouts = {spec.name: _layout(world, tree, spec.name) for spec in tree.level(0)}
+        return cls(world, tree, layouts)
 
 
 def body_of(settings: RunSettings, seeds: np.random.SeedSequence) -> Body:
-    """`envs_per_actor` copies of the run's world. Raises WorldError or BlockError, each one sentence."""
-    world = make(
-        settings.world.id,
-        settings.world.parameters,
-        columns=settings.actors.envs_per_actor,
-        seed=seeds.generate_state(4).tolist(),
-    )
-    return Body(world, BlockTree.of(settings.block, world.observation_size, world.action_size))
+    """`envs_per_actor` copies of the run's world. Raises `SettingsError` if there is no such thing."""
+    try:
+        world = make(
+            settings.world.id,
+            settings.world.parameters,
+            columns=settings.actors.envs_per_actor,
+            seed=seeds.generate_state(4).tolist(),
+        )
+        return Body.of(world, settings)
+    except (ValueError, TypeError) as error:
+        raise SettingsError(str(error)) from None
+
+
+def first_observation(body: Body) -> NDArray[np.float32]:
+    """The observations (E, n) at the beginning. Raises `SettingsError` where a sense has no renderer."""
+    try:
+        return body.world.reset()
+    except ValueError as error:
+        raise SettingsError(str(error)) from None
+
+
+def _layout(world: World, tree: BlockTree, block: str) -> Layout:
+    try:
+        return Layout(part_of(world.senses, tree.observed(block)))
+    except ValueError as error:
+        raise ValueError(f"block {block!r}: {error}") from None
 
 
 def seeds_of(settings: RunSettings, index: int, life: str) -> np.random.SeedSequence:

@@ -5,15 +5,19 @@ from typing import Any
 
 import numpy as np
 
+from babble.breakdowns import Breakdowns, UnstableError
 from protocol import keys
 from protocol.gate import Gate
 from protocol.latest import LatestPhase
 from protocol.messages import Ack, Model, ModelFloor, Phase, PhaseAnnounced
-from services.actor.collect import Collector, EvaluationCollector, SegmentCollector, ways_of
-from services.actor.config import body_of, seeds_of
+from services.actor.collect import Collector, Finished, SegmentCollector, ways_of
+from services.actor.config import body_of, first_observation, seeds_of
+from services.actor.evaluation import EvaluationCollector
+from services.actor.frames import check_frames
 from services.actor.models import ModelShelf
 from services.actor.outbox import CONSUMER_OF, Outbox
 from services.runtime.bus import Frame, Inbox
+from services.runtime.errors import UserError
 from services.runtime.interface import interface_of
 from services.runtime.process import Context
 from services.runtime.status import Heart
@@ -22,12 +26,17 @@ log = logging.getLogger(__name__)
 
 SERVICE = "actor"
 QUANTUM_STEPS = 64
-"""Steps of the worlds between two looks at the inbox."""
+"""Steps of the worlds between two looks at the inbox, at most."""
+QUANTUM_SECS = 0.1
+"""No step is begun so long after the first one: with slow worlds too, acks and heartbeats keep flowing."""
 IDLE_SECS = 0.05
 
 
 class Actor:
-    """The actor service; see `poll`."""
+    """The actor service; see `poll`.
+
+    Raises `SettingsError` for a world or blocks that cannot be, or segments that fit into no frame.
+    """
 
     def __init__(self, context: Context) -> None:
         self._context = context
@@ -37,12 +46,12 @@ class Actor:
         self._evaluation_rng = np.random.default_rng(evaluating)
         self._body = body_of(settings, worlds)
         self._fresh_body = body_of(settings, fresh)
+        check_frames(settings, self._body)
         world = self._body.world
-        interface = interface_of(
-            settings, observation_size=world.observation_size, action_size=world.action_size
-        )
+        self._breakdowns = Breakdowns(world.id)
+        interface = interface_of(settings, senses=world.senses, action_size=world.action_size)
         fingerprint = interface.fingerprint()
-        self._observation = world.reset()
+        self._observation = first_observation(self._body)
         self._shelf = ModelShelf(block.name for block in settings.block)
         self._outbox = Outbox(
             context.bus,
@@ -115,7 +124,9 @@ class Actor:
         settings = self._context.settings
         blocks = sorted(announced.blocks)
         if announced.phase is Phase.EVALUATE:
-            return EvaluationCollector(self._fresh_body, blocks, self._shelf, settings, self._evaluation_rng)
+            return EvaluationCollector(
+                self._fresh_body, blocks, self._shelf, settings, self._evaluation_rng, self._breakdowns
+            )
         if announced.phase not in CONSUMER_OF:
             return None
         ways = ways_of(announced.phase, self._body, blocks, self._shelf, settings, self._rng)
@@ -124,6 +135,7 @@ class Actor:
             ways,
             segment_steps=settings.actors.segment_steps,
             observation=self._observation,
+            breakdowns=self._breakdowns,
         )
 
     def _act(self, now_secs: float) -> bool:
@@ -133,8 +145,13 @@ class Actor:
             return False
         if collector.at_border() and not self._may_begin(announced, collector):
             return False
-        for finished in collector.advance(QUANTUM_STEPS):
-            self._outbox.send(finished, announced.phase, announced.term, now_secs)
+        clock = self._context.clock
+        began_secs = clock.now_secs()
+        for _ in range(QUANTUM_STEPS):
+            for finished in _stepped(collector):
+                self._outbox.send(finished, announced.phase, announced.term, now_secs)
+            if collector.at_border() or clock.now_secs() - began_secs >= QUANTUM_SECS:
+                break
         return True
 
     def _may_begin(self, announced: PhaseAnnounced, collector: Collector) -> bool:
@@ -181,14 +198,23 @@ class Actor:
                 "unwanted": self._outbox.unwanted,
                 "stale_models": self._shelf.stale,
                 "unusable_models": self._shelf.unusable,
+                "failed_episodes": self._breakdowns.episodes,
+                "dropped_segments": self._breakdowns.segments,
                 "ignored_acks": self._outbox.ignored_acks,
                 "inbox_dropped": self._inbox.dropped,
             },
             "queue_depth": self._outbox.unacknowledged,
             "refused": dict(self._gate.refused),
             "waiting_for": self._waiting_for if announced is not None else "a coordinator's announcement",
-            "last_error": self._shelf.last_error or self._gate.last_refusal,
+            "last_error": self._shelf.last_error or self._gate.last_refusal or self._breakdowns.sentence,
         }
+
+
+def _stepped(collector: Collector) -> list[Finished]:
+    try:
+        return collector.advance(1)
+    except UnstableError as error:
+        raise UserError(str(error)) from None
 
 
 def _listening(context: Context) -> Inbox:

@@ -1,5 +1,6 @@
 """How one block acts and what it records, phase by phase (thesis 3.3)."""
 
+from collections.abc import Callable
 from typing import Literal, Protocol
 
 import numpy as np
@@ -14,6 +15,8 @@ from services.actor.models import Held, ModelShelf
 Floats = NDArray[np.float32]
 Record = dict[str, NDArray[np.generic]]
 PolicyMode = Literal["random", "sampled", "mean"]
+Pack = Callable[[Floats], Record]
+"""A block's observations (E, n) as the arrays that travel; babble.observations.Layout.pack."""
 
 
 class Way(Protocol):
@@ -39,8 +42,9 @@ class RandomWay:
     policy: PolicyMode = "random"
     held = Held()
 
-    def __init__(self, noise: Noise) -> None:
+    def __init__(self, noise: Noise, pack: Pack) -> None:
         self._noise = noise
+        self._pack = pack
 
     def begin_segment(self) -> None:
         """Nothing: a random walk needs no model."""
@@ -51,7 +55,7 @@ class RandomWay:
 
     def record(self, observation: Floats, arrived: Floats, step: Step, episode: NDArray[np.int32]) -> Record:
         """The observation and its episode."""
-        return {"observation": observation, "episode": episode}
+        return {**self._pack(observation), "episode": episode}
 
 
 class _ModelWay:
@@ -81,6 +85,12 @@ class _ModelWay:
 class WalkWay(_ModelWay):
     """WALK: from vertex to vertex with sampled actions, for the encoder to see the way."""
 
+    def __init__(
+        self, block: str, shelf: ModelShelf, clock: WalkClock, rng: np.random.Generator, pack: Pack
+    ) -> None:
+        super().__init__(block, shelf, clock, rng)
+        self._pack = pack
+
     def act(self, observation: Floats) -> Floats:
         """Sampled actions towards the vertex of the moment."""
         encoder, policy = self._models()
@@ -90,16 +100,24 @@ class WalkWay(_ModelWay):
     def record(self, observation: Floats, arrived: Floats, step: Step, episode: NDArray[np.int32]) -> Record:
         """The observation and its episode."""
         self._clock.tick()
-        return {"observation": observation, "episode": episode}
+        return {**self._pack(observation), "episode": episode}
 
 
 class PractiseWay(_ModelWay):
     """GROUND and PRACTISE: sampled actions, recorded for PPO with the behaviour's log-probabilities."""
 
     def __init__(
-        self, block: str, shelf: ModelShelf, clock: GoalClock | WalkClock, rng: np.random.Generator
+        self,
+        block: str,
+        shelf: ModelShelf,
+        clock: GoalClock | WalkClock,
+        rng: np.random.Generator,
+        *,
+        external: bool,
     ) -> None:
+        """`external`: the task's own reward is recorded too, for the policy to be trained on."""
         super().__init__(block, shelf, clock, rng)
+        self._external = external
         self._latent: Floats | None = None
         self._goal = clock.goal
         self._action = self._log_prob = np.zeros(0, np.float32)
@@ -132,6 +150,8 @@ class PractiseWay(_ModelWay):
             "truncated": (switched | step.truncated).astype(np.uint8),
             "terminated": step.terminated.astype(np.uint8),
         }
+        if self._external:
+            record["external_reward"] = step.external_reward
         ended = step.terminated | step.truncated
         self._latent = None if ended.any() else next_latent
         return record

@@ -5,13 +5,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from typing import Any
 
-from protocol.messages import Status
+from protocol.messages import MAX_REPLY_CHARS, Status
 from services.coordinator.machine import best_of
 from services.coordinator.state import Plan, State, present
 from services.coordinator.waiting import waiting
 from services.runtime.settings import RunSettings
 
-MOST_ROWS = 1000
+MOST_SCORE_CHARS = MAX_REPLY_CHARS // 2
 """The newest scores in one answer; all of them are in `scores.jsonl`."""
 MOST_WITNESSES = 4
 
@@ -33,7 +33,7 @@ def describe(run: str, settings: RunSettings, plan: Plan, state: State, heard: M
             "waiting": waiting(plan, state),
             "stalled": state.stalled,
             "members": [_member(life, service, heard.get(life)) for life, service in members],
-            "scores": [{"run": run, **asdict(row)} for row in state.scores[-MOST_ROWS:]],
+            "scores": _newest_scores(run, state),
             "best": [asdict(kept) for kept in best if kept is not None],
             "settings": settings.model_dump(mode="json"),
         }
@@ -52,6 +52,18 @@ def witnesses(state: State, heard: Iterable[Status]) -> list[str]:
         elif status.waiting_for and status.service == "actor":
             said.append(f"{status.life}: {status.waiting_for}")
     return said[:MOST_WITNESSES]
+
+
+def _newest_scores(run: str, state: State) -> list[dict[str, Any]]:
+    """As many of the newest rows as there is room for, in their order."""
+    rows: list[dict[str, Any]] = []
+    chars = 0
+    for row in reversed(state.scores):
+        rows.insert(0, {"run": run, **asdict(row)})
+        chars += len(json.dumps(rows[0]))
+        if chars > MOST_SCORE_CHARS:
+            return rows[1:]
+    return rows
 
 
 def _member(life: str, service: str, status: Status | None) -> dict[str, Any]:

@@ -49,6 +49,7 @@ def announced(order: Announce, *, plan: Plan, run: str, life: str, seq: int) -> 
 
 
 def _row(score: messages.Score) -> ScoreRow:
+    by_vertex = score.external_reward_by_vertex
     return ScoreRow(
         block=score.block,
         iteration=score.iteration,
@@ -59,6 +60,10 @@ def _row(score: messages.Score) -> ScoreRow:
         z_goal=score.z_goal,
         switch_success=score.switch_success,
         crossing=score.crossing,
+        landmarks=score.landmarks,
+        landmark_vertices=score.landmark_vertices,
+        external_reward=score.external_reward,
+        external_reward_by_vertex=None if by_vertex is None else tuple(by_vertex),
         policy=score.policy,
         steps=score.steps,
         encoder_version=score.encoder_version,

@@ -4,7 +4,7 @@ Pure data: frozen, standard library only. `journal.py` writes and reads the even
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from services.coordinator.table import Phase
 
@@ -33,6 +33,10 @@ class ScoreRow:
     z_goal: float
     switch_success: float
     crossing: float | None
+    landmarks: Mapping[str, float] = field(default_factory=dict)
+    landmark_vertices: Mapping[str, int] = field(default_factory=dict)
+    external_reward: float | None = None
+    external_reward_by_vertex: tuple[float | None, ...] | None = None
     policy: str
     steps: int
     encoder_version: int

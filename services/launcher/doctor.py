@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib import metadata
 
+from babble.worlds import gl_advice
 from services.launcher.config import address_of
 from services.launcher.run_folder import RUNS, installed
 from services.runtime.errors import BusError
@@ -59,6 +60,7 @@ def examine() -> Iterable[Finding]:
     for extra in ("router", "coordinator", "actor", "learner", "launcher"):
         yield packages(extra, requirements(extra), installed)
     yield _onnxruntime()
+    yield _eyes()
     yield _router()
     yield _disk()
     yield _machine()
@@ -107,6 +109,24 @@ def _onnxruntime() -> Finding:
         return Finding(what="onnxruntime", text=f"does not load ({error}); reinstall onnxruntime", good=False)
     good = "CPUExecutionProvider" in providers
     return Finding(what="onnxruntime", text=f"loads; it can run models on {', '.join(providers)}", good=good)
+
+
+def _eyes() -> Finding:
+    """Whether bodies that see can: draws one small picture."""
+    use = "needed only for the sense of vision and for pictures of bodies"
+    try:
+        rendering = importlib.import_module("babble.worlds.senses.rendering")
+        mujoco = importlib.import_module("mujoco")
+    except (ImportError, AttributeError, OSError, RuntimeError) as error:
+        return Finding(what="mujoco", text=f"does not load ({error}){gl_advice()}", good=False)
+    model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    try:
+        rendering.picture(model, data, width=16, height=16)
+    except ValueError as error:
+        return Finding(what="vision", text=f"{error}; {use}", good=False, needed=False)
+    return Finding(what="vision", text="pictures can be drawn without a screen", good=True)
 
 
 def _router() -> Finding:

@@ -8,16 +8,18 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeVar, cast
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from babble.blocks import BlockError, BlockTree
+from babble.breakdowns import UnstableError
+from babble.landmarks import Landmark
 from babble.policy.act import EncoderModel, ModelError, PolicyModel
-from babble.scores import REACHED, Legs, Walker, score, walk_blocks
-from babble.worlds import Start, Step, World, WorldError, make
+from babble.scores import REACHED, Legs, Walk, Walker, landmarks_of, score
+from babble.worlds import World, WorldError, make
 from protocol.messages import Phase, Score
 from services.launcher.run_folder import RunFolder
 from services.runtime.errors import UserError
@@ -170,8 +172,11 @@ class Rollout:
     legs: Mapping[str, Legs]
     path: Floats
     """(1 + legs * leg_steps, E, p) every posture, from the start"""
+    latent: Mapping[str, Floats]
+    """by block, (legs * leg_steps, E, d) what each step was taken at"""
     diameter: float
     crossing_axis: int | None
+    landmarks: tuple[Landmark, ...]
 
     def scores(self) -> list[Score]:
         """A row per block."""
@@ -185,7 +190,7 @@ class Rollout:
                 steps=self.legs[version.block].goal.size * self.run.settings.evaluation.leg_steps,
                 encoder_version=version.encoder,
                 policy_version=version.policy,
-                **score(self.legs[version.block], self.diameter, self.crossing_axis),
+                **score(self.legs[version.block], self.diameter, self.crossing_axis, self.landmarks),
             )
             for version in self.versions
         ]
@@ -212,32 +217,35 @@ def roll_out(
         name: Walker(held.encoder, held.policy, tree.observed(name), tree.driven(name))
         for name, held in models.items()
     }
-    recorded = _Recorded(world)
-    plan, rng = run.settings.evaluation, np.random.default_rng([seed, 6, 1])
-    legs = walk_blocks(cast(World, recorded), walkers, rng, plan.legs, plan.leg_steps, mode)
-    path = np.stack(recorded.path)
-    return Rollout(run, versions, mode, legs, path, world.diameter, world.crossing_axis)
+    walk = _walked(run, world, walkers, np.random.default_rng([seed, 6, 1]), mode)
+    return Rollout(
+        run=run,
+        versions=versions,
+        mode=mode,
+        legs=walk.legs(),
+        path=np.stack(walk.path.posture),
+        latent={block: np.stack(latents) for block, latents in walk.path.latent.items()},
+        diameter=world.diameter,
+        crossing_axis=world.crossing_axis,
+        landmarks=landmarks_of(world, tree),
+    )
 
 
-class _Recorded:
-    """A world that keeps the postures it went through; all else is the world's own."""
-
-    def __init__(self, world: World) -> None:
-        self._world = world
-        self.path: list[Floats] = []
-
-    def reset(self, start: Start = "centre") -> Floats:
-        observation = self._world.reset(start)
-        self.path = [self._world.posture()]
-        return observation
-
-    def step(self, action: Floats) -> Step:
-        step = self._world.step(action)
-        self.path.append(self._world.posture())
-        return step
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._world, name)
+def _walked(
+    run: Run, world: World, walkers: Mapping[str, Walker], rng: np.random.Generator, mode: Mode
+) -> Walk:
+    plan = run.settings.evaluation
+    try:
+        # A sense may find only now that it has no renderer.
+        walk = Walk(world, walkers, rng, plan.legs, plan.leg_steps, mode, traced=True)
+    except ValueError as error:
+        raise RunError(f"{run.shown} cannot be rolled out here: {error}") from None
+    try:
+        while not walk.advance(plan.leg_steps):
+            pass
+    except UnstableError as error:
+        raise RunError(f"{run.shown} cannot be rolled out: {error}") from None
+    return walk
 
 
 def load_models(run: Run, version: Version) -> Models:
@@ -257,13 +265,32 @@ def load_models(run: Run, version: Version) -> Models:
     return Models(encoder, policy)
 
 
+def measures(row: Score) -> dict[str, float]:
+    """What success is asked of.
+
+    Where the body has landmarks, z_min and each landmark; elsewhere separation, z_min and, where there
+    are two halves, crossing. services/coordinator/best.py decides by the same.
+    """
+    if row.landmarks:
+        return {"z_min": row.z_min, **row.landmarks}
+    crossing = {} if row.crossing is None else {"crossing": row.crossing}
+    return {"separation": row.separation, "z_min": row.z_min, **crossing}
+
+
+def score_columns(rows: Sequence[Score]) -> dict[str, list[float | None]]:
+    """Measure -> its value in each row; a measure that no row has is left out."""
+    fields = ("separation", "separation_worst", "z_min", "z_goal", "switch_success", "crossing")
+    landmarks = list(dict.fromkeys(name for row in rows for name in row.landmarks))
+    columns = {name: [getattr(row, name) for row in rows] for name in fields}
+    columns |= {name: [row.landmarks.get(name) for row in rows] for name in landmarks}
+    columns["external_reward"] = [row.external_reward for row in rows]
+    return {name: values for name, values in columns.items() if any(value is not None for value in values)}
+
+
 def shortfalls(row: Score) -> list[str]:
     """What keeps a row from counting as success, for a person: "z_min 0.83 < 0.9"; empty when it is one."""
-    gated = {"separation": row.separation, "z_min": row.z_min, "crossing": row.crossing}
     return [
-        f"{name} {_below_bar(value)} < {REACHED}"
-        for name, value in gated.items()
-        if value is not None and value < REACHED
+        f"{name} {_below_bar(value)} < {REACHED}" for name, value in measures(row).items() if value < REACHED
     ]
 
 

@@ -37,13 +37,13 @@ class Ends:
     goal: Array
     """(K,) the vertex of each leg but the first"""
     posture: Array
-    """(K, 3) where it ended"""
+    """(K, p) where it ended"""
     way: Array
-    """(K, T + 1, 3) all of its postures"""
+    """(K, T + 1, p) all of its postures"""
     first_goal: Array
     """(E,) the vertex of the first leg"""
     first_way: Array
-    """(E, T + 1, 3) the postures of the first leg, from a random start"""
+    """(E, T + 1, p) the postures of the first leg, from a random start"""
     latent_dim: int
 
 
@@ -127,7 +127,7 @@ def draw_learning(
 ) -> None:
     """Scores by iteration with their bar, and beside them the curves, if there are any."""
     panels = 1 + len(curves)
-    figure = Figure(figsize=(5.2 if panels == 1 else 3.9 * panels, 3.9), layout="constrained")
+    figure = Figure(figsize=(5.2 if panels == 1 else min(3.9 * panels, 12.6), 3.9), layout="constrained")
     first, *others = figure.subplots(1, panels, squeeze=False)[0]
     _scores(first, rows, best)
     for axes, curve, colour in zip(others, curves, COLOURS, strict=False):
@@ -149,14 +149,14 @@ def draw_learning(
 
 def _scores(axes: Any, rows: Sequence[Score], best: int | None) -> None:
     lowest = 0.8
-    measures = ["separation", "z_min"]
-    if any(row.crossing is not None for row in rows):
-        measures.append("crossing")
+    landmarks = list(dict.fromkeys(name for row in rows for name in row.landmarks))
+    crossing = ["crossing"] if any(row.crossing is not None for row in rows) else []
+    measures = ["separation", "z_min", *crossing, *landmarks]
     for policy, line in (("mean", "-"), ("sampled", ":")):
         mine = sorted((row for row in rows if row.policy == policy), key=lambda row: row.iteration)
         iterations = [row.iteration for row in mine]
         for measure, colour, marker in zip(measures, COLOURS, MARKERS, strict=False):
-            values = [getattr(row, measure) for row in mine]
+            values = [_value(row, measure) for row in mine]
             lowest = min([lowest, *values])
             face = colour if policy == "mean" else "white"
             axes.plot(
@@ -177,6 +177,11 @@ def _scores(axes: Any, rows: Sequence[Score], best: int | None) -> None:
     axes.set_xlabel("iteration (0: after GROUND)")
     axes.set_ylabel("score (no unit)")
     axes.grid(alpha=0.3)
+
+
+def _value(row: Score, measure: str) -> float:
+    value: float = row.landmarks[measure] if measure in row.landmarks else getattr(row, measure)
+    return value
 
 
 def _space(axes: Any, body: Body) -> None:

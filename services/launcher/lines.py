@@ -18,7 +18,10 @@ COLUMNS = (
     ("z_goal", "z_goal", 6),
     ("switch_success", "switch", 6),
     ("crossing", "crossing", 8),
+    ("landmarks", "landmark", 8),
+    ("external_reward", "reward", 8),
 )
+"""Of a row: field, head and width. Of several landmarks the least is shown."""
 MOST_ACTORS = 8
 MOST_ROWS = 8
 MOST_ERRORS = 3
@@ -66,16 +69,19 @@ def progress_line(picture: Picture, now_secs: float) -> str:
 
 def score_words(row: Row) -> str:
     """One line of scores as a sentence."""
-    shown = ", ".join(
-        f"{head} {_number(row.get(name))}" for name, head, _ in COLUMNS if row.get(name) is not None
+    shown = [
+        f"{head} {_number(row[name])}" for name, head, _ in COLUMNS if isinstance(row.get(name), int | float)
+    ]
+    shown += [f"{name} {_number(share)}" for name, share in _landmarks(row).items()]
+    return (
+        f"scores of {row['block']}, iteration {row['iteration']}, {row['policy']} policy: {', '.join(shown)}"
     )
-    return f"scores of {row['block']}, iteration {row['iteration']}, {row['policy']} policy: {shown}"
 
 
 def score_table(rows: Sequence[Row], *, newest: int | None = None) -> list[str]:
     """All scores in lines of at most 60 characters, block by block; or only the newest."""
     shown = rows if newest is None else rows[-newest:]
-    columns = [column for column in COLUMNS if any(row.get(column[0]) is not None for row in shown)]
+    columns = [column for column in COLUMNS if any(_measure(row, column[0]) is not None for row in shown)]
     blocks = list(dict.fromkeys(str(row["block"]) for row in shown))
     lines = ["  ".join([f"{'iter':>4}", f"{'policy':<7}", *(f"{head:>{size}}" for _, head, size in columns)])]
     for block in blocks:
@@ -188,8 +194,17 @@ def _total_rate(picture: Picture, now_secs: float) -> float:
 
 
 def _score_line(row: Row, columns: Iterable[tuple[str, str, int]]) -> str:
-    cells = [f"{_number(row.get(name)):>{size}}" for name, _, size in columns]
+    cells = [f"{_number(_measure(row, name)):>{size}}" for name, _, size in columns]
     return "  ".join([f"{row['iteration']:>4}", f"{row['policy']!s:<7}", *cells])
+
+
+def _measure(row: Row, name: str) -> object:
+    return min(_landmarks(row).values(), default=None) if name == "landmarks" else row.get(name)
+
+
+def _landmarks(row: Row) -> Mapping[str, float]:
+    shares = row.get("landmarks")
+    return shares if isinstance(shares, Mapping) else {}
 
 
 def _number(value: object) -> str:

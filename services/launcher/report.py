@@ -6,40 +6,24 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from babble.policy.act import EncoderModel
 from babble.scores import REACHED
 from babble.worlds import WORLDS
-from babble.worlds.batch import PointWorld
 from protocol.messages import Phase, Score
-from services.launcher.evaluate import (
-    Rollout,
-    Run,
-    RunError,
-    Version,
-    load_models,
-    open_run,
-    roll_out,
-    shortfalls,
-)
+from services.launcher.evaluate import Run, RunError, Version, open_run, score_columns
+from services.launcher.findings import picture, rolled_out, verdict
 from services.runtime.checkpoint import write_atomically
 from services.runtime.settings import RunSettings
 
 if TYPE_CHECKING:
-    from services.launcher.figures import Curve, Ends
+    from services.launcher.figures import Curve
 
 Record = Mapping[str, Any]
 
-PLACES = {
-    "Cuboid": "both ends of the long diagonal",
-    "Ellipsoid": "both ends of the long axis",
-    "Dumbbell": "the outer ends of both lobes",
-}
-"""What a Composer with two vertices should find (thesis 4.1)."""
+HEADS = {"separation_worst": "worst", "switch_success": "switch success", "external_reward": "reward"}
 CURVES = (
     ("encoder/loss", "encoder loss (ENCODE, REFINE)", "InfoNCE (nats)", {"encode", "refine"}),
     ("policy/reward_mean", "reward (GROUND, PRACTISE)", "mean reward per step", {"ground", "practise"}),
+    ("policy/external_reward_mean", "the task's own reward", "mean per step", {"ground", "practise"}),
 )
 """Of `metrics.jsonl`: name after the block, title, axis, and the phases in which it is fresh."""
 
@@ -85,111 +69,33 @@ def _block(run: Run, block: str) -> list[str]:
     rows = [row for row in run.scores if row.block == block]
     version = run.version(block)
     try:
-        places, pictures = _rolled_out(run, version)
+        places, pictures = rolled_out(run, version)
     except RunError as error:
         places, pictures = [f"The saved models could not be rolled out: {error}."], []
     title = f"## What block {block} found" if len(run.blocks) > 1 else "## What was found"
-    lines = [title, "", _verdict(run, version, rows), "", *places, "", *_scores(run, version, rows), ""]
+    lines = [title, "", verdict(run, version, rows), "", *places, "", *_scores(run, version, rows), ""]
     return [*lines, *pictures, *_learning(run, block, rows)]
 
 
-def _verdict(run: Run, version: Version, rows: Iterable[Score]) -> str:
-    row = next(row for row in rows if row.iteration == version.iteration)
-    missing = shortfalls(row)
-    world, two = run.settings.world.id, run.settings.one_block(version.block).latent_dim == 2
-    place = PLACES.get(world, "two far ends of the world") if two else "far ends of the world, one per goal,"
-    found = "were found" if not missing else "were not found"
-    crossed = "" if row.crossing is None else f", crossing {row.crossing:.2f}"
-    measured = f"separation {row.separation:.2f}, z_min {row.z_min:.2f}{crossed}"
-    kept = f"The best iteration is {version.iteration} ({measured}, {row.policy} actions)"
-    sentence = f"{place[0].upper()}{place[1:]} {found}"
-    why = f": {', '.join(missing)}" if missing else ""
-    return f"**{sentence}{why}.** {kept}."
-
-
-def _rolled_out(run: Run, version: Version) -> tuple[list[str], list[str]]:
-    """Where each goal ends in fresh worlds, in words, and the figures of it."""
-    beside = [run.version(block, version.iteration) for block in run.blocks]
-    models = {each.block: load_models(run, each) for each in beside}
-    rollout = roll_out(run, beside, models)
-    encoder = models[version.block].encoder
-    ends = _ends(rollout, version.block, encoder.latent_dim)
-    means = [ends.posture[ends.goal == goal].mean(axis=0) for goal in range(ends.latent_dim)]
-    places = ["In fresh worlds, from random starts and with mean actions:", ""]
-    for goal, mean in enumerate(means):
-        mine = ends.posture[ends.goal == goal]
-        off = float(np.linalg.norm(mine - mean, axis=1).mean())
-        places.append(f"- goal {goal} ends at {_point(mean)}, on average within {off:.2f} of it")
-    for one, other in itertools.combinations(range(ends.latent_dim), 2):
-        apart = float(np.linalg.norm(means[one] - means[other]))
-        share = f"{apart / rollout.diameter:.0%} of the diameter {rollout.diameter:.2f}"
-        places.append(f"- the ends of goals {one} and {other} are {apart:.2f} apart: {share}")
-    (anew,) = [row for row in rollout.scores() if row.block == version.block]
-    places += ["", f"Scores of these rollouts: separation {anew.separation:.3f}, z_min {anew.z_min:.3f}."]
-    return places, _pictures(run, version, encoder, ends)
-
-
-def _ends(rollout: Rollout, block: str, latent_dim: int) -> "Ends":
-    from services.launcher.figures import Ends
-
-    legs, path = rollout.legs[block], rollout.path
-    steps = rollout.run.settings.evaluation.leg_steps
-    ways = np.stack([path[leg * steps : (leg + 1) * steps + 1] for leg in range(1, len(legs.goal))])
-    size = path.shape[2]
-    return Ends(
-        goal=legs.goal[1:].reshape(-1),
-        posture=legs.posture[1:].reshape(-1, size),
-        way=ways.swapaxes(1, 2).reshape(-1, steps + 1, size),
-        first_goal=legs.goal[0],
-        first_way=path[: steps + 1].swapaxes(0, 1),
-        latent_dim=latent_dim,
+def _scores(run: Run, version: Version, rows: Iterable[Score]) -> list[str]:
+    rows = sorted(rows, key=lambda row: (row.iteration, row.policy))
+    landmarks = list(dict.fromkeys(name for row in rows for name in row.landmarks))
+    asked = (
+        f"z_min and each of {', '.join(landmarks)}"
+        if landmarks
+        else "separation, z_min and, where there are two halves, crossing"
     )
-
-
-def _pictures(run: Run, version: Version, encoder: EncoderModel, ends: "Ends") -> list[str]:
-    from services.launcher import figures
-
-    world = run.world(1, [0, 6, 4])
-    if not isinstance(world, PointWorld) or ends.latent_dim > figures.MOST_VERTICES:
-        what = f"the world {world.id}" if not isinstance(world, PointWorld) else f"{ends.latent_dim} vertices"
-        return [f"There is no drawing of {what} yet.", ""]
-    block = version.block
-    name = f"{run.settings.world.id}, block {block}, iteration {version.iteration}"
-    seen = run.tree(world).observed(block)
-    points = world.uniform_points(figures.MAP_POINTS, np.random.default_rng(0))
-    folder = run.folder / "figures"
-    figures.draw_world(folder / f"{block}-world.png", world.body, ends, f"{name}: where goals lead")
-    latent = encoder.latent(points[:, seen])
-    figures.draw_latent(folder / f"{block}-latent.png", world.body, points, latent, f"{name}: the latent map")
-    return [
-        *_picture(
-            f"{block}-world",
-            "The world, the points reached per goal in fresh worlds (mean actions), and some of the ways: "
-            "from a random start (dotted), and from one end to the other.",
-        ),
-        *_picture(
-            f"{block}-latent",
-            "The latent over the world: points spread uniformly, in two slices through the middle. The "
-            "marks are the points of the whole world, not only of the slice, where a component is largest.",
-        ),
-    ]
-
-
-def _scores(run: Run, version: Version, rows: Sequence[Score]) -> list[str]:
-    crossing = any(row.crossing is not None for row in rows)
-    names = ["iteration", "after", "actions", "separation", "worst", "z_min", "z_goal", "switch success"]
+    columns = score_columns(rows)
     lines = [
-        "Scores during the run; success is separation, z_min and, where there are two halves, crossing of "
-        f"{REACHED} or more:",
+        f"Scores during the run; success is {asked} of {REACHED} or more:",
         "",
-        *_table_head([*names, *(["crossing"] if crossing else [])]),
+        *_table_head(["iteration", "after", "actions", *(HEADS.get(name, name) for name in columns)]),
     ]
-    for row in sorted(rows, key=lambda row: (row.iteration, row.policy)):
-        numbers = [row.separation, row.separation_worst, row.z_min, row.z_goal, row.switch_success]
-        if crossing:
-            numbers.append(row.crossing or 0.0)
+    for index, row in enumerate(rows):
         best = " (best)" if row.iteration == run.best.get(version.block) else ""
-        cells = [f"{row.iteration}{best}", row.phase.value, row.policy, *(f"{n:.3f}" for n in numbers)]
+        cells = [f"{row.iteration}{best}", row.phase.value, row.policy]
+        numbers = [values[index] for values in columns.values()]
+        cells += ["" if number is None else f"{number:.3f}" for number in numbers]
         lines.append(_table_row(cells))
     return lines
 
@@ -203,7 +109,7 @@ def _learning(run: Run, block: str, rows: Sequence[Score]) -> list[str]:
     losses = (
         "the encoder's loss and the policy's reward" if curves else "no losses: there is no metrics.jsonl"
     )
-    return _picture(f"{block}-learning", f"Scores by iteration, and {losses}.")
+    return picture(f"{block}-learning", f"Scores by iteration, and {losses}.")
 
 
 def _curves(block: str, metrics: Sequence[Record]) -> list["Curve"]:
@@ -326,14 +232,6 @@ def _flat(table: Mapping[str, Any], before: str = "") -> dict[str, Any]:
         else:
             flat[before + name] = list(value) if isinstance(value, tuple) else value
     return flat
-
-
-def _picture(name: str, caption: str) -> list[str]:
-    return [f"![{caption}](figures/{name}.png)", "", f"*{caption}*", ""]
-
-
-def _point(position: Iterable[float]) -> str:
-    return f"({', '.join(f'{value:.2f}' for value in position)})"
 
 
 def _table_head(names: Sequence[str]) -> list[str]:

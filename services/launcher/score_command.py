@@ -21,18 +21,29 @@ from services.launcher.evaluate import (
     RunError,
     Version,
     evaluate,
+    measures,
     open_run,
     roll_out,
+    score_columns,
     shortfalls,
 )
 
 LEARNER_PACKAGES = frozenset({"torch", "stable_baselines3", "onnx"})
+HEADS = {
+    "separation": "sep",
+    "separation_worst": "worst",
+    "switch_success": "switch",
+    "crossing": "cross",
+    "external_reward": "reward",
+}
 LEGEND = (
     "sep: mean distance between consecutive ends / diameter; worst: the least one; z_min: mean of the "
     "goal's latent component at the ends, worst goal; z_goal: over all goals; switch: share of legs with "
     f"z_goal >= {REACHED}; cross: share of goal switches that changed sides; mean, sampled: the policy's "
     "actions."
 )
+LANDMARKS_LEGEND = "{names}: share of legs to the vertex that stands for it which ended at that posture."
+REWARD_LEGEND = "reward: the task's own, per step in the second half of the legs."
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -80,7 +91,7 @@ def _score(opened: Run, arguments: argparse.Namespace) -> int:
         console.print(_table(mine, opened.best.get(block), "" if len(chosen) == 1 else f"block {block}"))
     for version in chosen.values():
         _say(console, _verdict(opened, version, rows))
-    _say(console, LEGEND)
+    _say(console, " ".join([LEGEND, *_further_legends(rows)]))
     return 0
 
 
@@ -104,10 +115,10 @@ def _control(opened: Run, arguments: argparse.Namespace) -> int:
     if missing := shortfalls(mean):
         _say(console, f"the control fails, as it must: {', '.join(missing)}")
         return 0
+    passed = ", ".join(f"{name} {value:.2f}" for name, value in measures(mean).items())
     _say(
         console,
-        f"the control passes (separation {mean.separation:.2f}, z_min {mean.z_min:.2f}), so with this seed "
-        "such scores prove nothing in this world",
+        f"the control passes ({passed}), so with this seed such scores prove nothing in this world",
     )
     return 1
 
@@ -147,7 +158,7 @@ def _train_control(opened: Run, block: str, seed: int) -> Models:
         seed=seed,
         steps=settings.actors.segment_steps,
         reward_form=settings.goals.reward,
-        sparse_radius=settings.goals.sparse_radius,
+        **settings.goals.model_dump(include={"sparse_radius", "goal_weight", "external_weight"}),
         **ppo,
     )
     return Models(encoder, policy)
@@ -188,7 +199,6 @@ def _heading(opened: Run, arguments: argparse.Namespace, what: str) -> str:
 
 
 def _table(rows: Sequence[Score], best: int | None, title: str) -> Table:
-    crossing = any(row.crossing is not None for row in rows)
     table = Table(
         title=title or None,
         box=box.SIMPLE_HEAD if sys.stdout.isatty() else None,
@@ -196,42 +206,39 @@ def _table(rows: Sequence[Score], best: int | None, title: str) -> Table:
         show_edge=False,
         pad_edge=False,
     )
-    names = [
-        "iter",
-        "policy",
-        "sep",
-        "worst",
-        "z_min",
-        "z_goal",
-        "switch",
-        *(["cross"] if crossing else []),
-        "",
-    ]
-    for name in names:
+    columns = score_columns(rows)
+    for name in ("iter", "policy", *(HEADS.get(name, name) for name in columns), ""):
         table.add_column(name, justify="left" if name in ("policy", "") else "right", no_wrap=True)
-    for row in rows:
+    for index, row in enumerate(rows):
         is_best = row.iteration == best
-        measures = [row.separation, row.separation_worst, row.z_min, row.z_goal, row.switch_success]
-        if crossing:
-            measures.append(row.crossing or 0.0)
         table.add_row(
             str(row.iteration) if row.policy_version else "-",
             row.policy,
-            *(f"{value:.3f}" for value in measures),
+            *("-" if values[index] is None else f"{values[index]:.3f}" for values in columns.values()),
             "best" if is_best else "",
             style="bold" if is_best else None,
         )
     return table
 
 
+def _further_legends(rows: Sequence[Score]) -> list[str]:
+    names = ", ".join(dict.fromkeys(name for row in rows for name in row.landmarks))
+    rewarded = any(row.external_reward is not None for row in rows)
+    return [
+        *([LANDMARKS_LEGEND.format(names=names)] if names else []),
+        *([REWARD_LEGEND] if rewarded else []),
+    ]
+
+
 def _verdict(opened: Run, version: Version, rows: Iterable[Score]) -> str:
     key = (version.block, version.iteration, "mean")
     row = next(row for row in rows if (row.block, row.iteration, row.policy) == key)
-    bars = ["separation", "z_min", *(["crossing"] if row.crossing is not None else [])]
     missing = shortfalls(row)
-    found = f"not reached: {', '.join(missing)}" if missing else f"reached: {', '.join(bars)} >= {REACHED}"
+    bars = ", ".join(measures(row))
+    found = f"not reached: {', '.join(missing)}" if missing else f"reached: {bars} >= {REACHED}"
     best = "best " if opened.best.get(version.block) == version.iteration else ""
-    return f"block {version.block}, {best}iteration {version.iteration}, mean actions: {found}"
+    places = "".join(f"; {name} is goal {goal}" for name, goal in row.landmark_vertices.items())
+    return f"block {version.block}, {best}iteration {version.iteration}, mean actions: {found}{places}"
 
 
 def _count(text: str) -> int:

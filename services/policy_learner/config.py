@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from babble.blocks import BlockTree
+from babble.landmarks import Landmark
 from protocol.messages import Phase
 from services.runtime.settings import EvaluationSettings, GoalSettings, PolicySettings, RunSettings
 
@@ -22,6 +23,8 @@ class PolicyWorkConfig:
     posture_size: int
     diameter: float
     crossing_axis: int | None
+    landmarks: tuple[Landmark, ...]
+    """that the block is scored by"""
     policy: PolicySettings
     goals: GoalSettings
     evaluation: EvaluationSettings
@@ -39,6 +42,11 @@ class PolicyWorkConfig:
         """Environment steps of one PPO update."""
         return self.segment_steps * self.policy.rollout_columns
 
+    @property
+    def external(self) -> bool:
+        """Whether the policy is trained on the task's own reward too."""
+        return self.goals.external_weight != 0
+
 
 def work_config(
     settings: RunSettings,
@@ -50,6 +58,7 @@ def work_config(
     posture_size: int,
     diameter: float,
     crossing_axis: int | None,
+    landmarks: tuple[Landmark, ...] = (),
 ) -> PolicyWorkConfig:
     """The configuration of one block; `index` is its place in the tree, for the seed."""
     return PolicyWorkConfig(
@@ -60,6 +69,7 @@ def work_config(
         posture_size=posture_size,
         diameter=diameter,
         crossing_axis=crossing_axis,
+        landmarks=landmarks,
         policy=settings.policy,
         goals=settings.goals,
         evaluation=settings.evaluation,

@@ -12,8 +12,10 @@ from services.policy_learner.config import PolicyWorkConfig
 
 Mode = Literal["mean", "sampled"]
 MODES: tuple[Mode, ...] = ("mean", "sampled")
-_DTYPES = {"posture": np.float32, "latent": np.float32, "goal": np.int32}
-LEG_ARRAYS = tuple(_DTYPES)
+_DTYPES = {"posture": np.float32, "latent": np.float32, "goal": np.int32, "external_reward": np.float32}
+LEG_ARRAYS = ("posture", "latent", "goal")
+"""What legs cannot be scored without."""
+_Arrays = dict[str, NDArray[np.generic]]
 
 
 class Evaluation:
@@ -27,7 +29,7 @@ class Evaluation:
         self._iteration = iteration
         self._phase = phase
         self.versions = versions
-        self._legs: dict[Mode, list[dict[str, NDArray[np.generic]]]] = {mode: [] for mode in MODES}
+        self._legs: dict[Mode, list[_Arrays]] = {mode: [] for mode in MODES}
         self.scores: list[Score] = []
 
     @property
@@ -56,7 +58,7 @@ class Evaluation:
             return False
         if self._missing(mode) <= 0 or not all(name in segment.arrays for name in LEG_ARRAYS):
             return False
-        legs = {name: np.array(segment.arrays[name]) for name in LEG_ARRAYS}
+        legs = {name: np.array(segment.arrays[name]) for name in _DTYPES if name in segment.arrays}
         self._check(segment, legs)
         self._add(mode, legs)
         return True
@@ -64,9 +66,9 @@ class Evaluation:
     def _check(self, segment: Segment, legs: Mapping[str, NDArray[np.generic]]) -> None:
         """Raises ValueError for legs that cannot be scored together with the others."""
         frame, d = (self._config.evaluation.legs, segment.columns), self._config.latent_dim
-        shapes = {"posture": (*frame, self._config.posture_size), "latent": (*frame, d), "goal": frame}
-        for name, shape in shapes.items():
-            values = legs[name].astype(np.float64)
+        shapes = {"posture": (*frame, self._config.posture_size), "latent": (*frame, d)}
+        for name, array in legs.items():
+            values, shape = array.astype(np.float64), shapes.get(name, frame)
             if values.shape != shape or not np.isfinite(values).all():
                 raise ValueError(f"{name} must be finite numbers of shape {shape}, got shape {values.shape}")
         if not np.isin(legs["goal"], np.arange(d)).all():
@@ -79,7 +81,7 @@ class Evaluation:
             "phase": self._phase.value,
             "versions": list(self.versions),
             "legs": {
-                mode: [{name: legs[name].tolist() for name in LEG_ARRAYS} for legs in taken]
+                mode: [{name: array.tolist() for name, array in legs.items()} for legs in taken]
                 for mode, taken in self._legs.items()
             },
         }
@@ -96,10 +98,10 @@ class Evaluation:
         )
         for mode in MODES:
             for legs in state["legs"][mode]:
-                evaluation._add(mode, {name: np.asarray(legs[name], _DTYPES[name]) for name in LEG_ARRAYS})
+                evaluation._add(mode, {name: np.asarray(legs[name], _DTYPES[name]) for name in legs})
         return evaluation
 
-    def _add(self, mode: Mode, legs: dict[str, NDArray[np.generic]]) -> None:
+    def _add(self, mode: Mode, legs: _Arrays) -> None:
         self._legs[mode].append(legs)
         if self._missing(mode) <= 0:
             self.scores.append(self._score(mode))
@@ -111,14 +113,17 @@ class Evaluation:
         return self._config.evaluation.columns - self._columns(mode)
 
     def _score(self, mode: Mode) -> Score:
+        taken = self._legs[mode]
         joined = {
-            name: np.concatenate([legs[name] for legs in self._legs[mode]], axis=1)[
-                :, : self._config.evaluation.columns
-            ]
-            for name in LEG_ARRAYS
+            name: np.concatenate([legs[name] for legs in taken], axis=1)[:, : self._config.evaluation.columns]
+            for name in _DTYPES
+            if all(name in legs for legs in taken)
         }
         found = score(
-            Legs(**joined), diameter=self._config.diameter, crossing_axis=self._config.crossing_axis
+            Legs(**joined),
+            diameter=self._config.diameter,
+            crossing_axis=self._config.crossing_axis,
+            landmarks=self._config.landmarks,
         )
         legs, columns = joined["goal"].shape
         return Score(

@@ -18,6 +18,8 @@ from services.runtime.intake import Want
 from services.runtime.models import ModelKind, ModelOffer
 
 ROLLOUT_ARRAYS = ("latent", "next_latent", "goal", "action", "log_prob", "truncated", "terminated")
+EXTERNAL_REWARD = "external_reward"
+"""Also needed where it has a weight."""
 
 
 class PolicyWork:
@@ -67,7 +69,13 @@ class PolicyWork:
             or not all(name in segment.arrays for name in ROLLOUT_ARRAYS)
         ):
             return False
-        arrays = {name: segment.arrays[name] for name in ROLLOUT_ARRAYS}
+        wanted = (*ROLLOUT_ARRAYS, EXTERNAL_REWARD) if self._config.external else ROLLOUT_ARRAYS
+        if not segment.arrays.keys() >= set(wanted):
+            raise ValueError(
+                f"it has no {EXTERNAL_REWARD}, to which this run's goals.external_weight gives a weight of "
+                f"{self._config.goals.external_weight:g}; start its actor with this run's config.toml"
+            )
+        arrays = {name: segment.arrays[name] for name in wanted}
         self._check(segment, arrays)
         self._hand.add(arrays, segment.policy_version)
         return True
@@ -236,4 +244,6 @@ def _new_ppo(config: PolicyWorkConfig) -> GoalPPO:
         seed=config.seed,
         reward_form=config.goals.reward,
         sparse_radius=config.goals.sparse_radius,
+        goal_weight=config.goals.goal_weight,
+        external_weight=config.goals.external_weight,
     )

@@ -97,6 +97,8 @@ class EncoderSettings(Section):
     """The latent model (eq. 10) and its loss (eq. 4)."""
 
     hidden: list[Positive] = [64, 64]
+    vision_features: Positive = 32
+    """numbers that the CNN makes of each eye's image, where a body sees"""
     learning_rate: PositiveFloat = 1e-3
     batch: Annotated[int, Field(ge=2)] = 128
     similarity: Literal["l2", "cosine", "dot"] = "l2"
@@ -138,6 +140,16 @@ class GoalSettings(Section):
     """eq. 12, eq. 9 or eq. 8"""
     sparse_radius: PositiveFloat = 0.1
     """epsilon_g of eq. 8"""
+    goal_weight: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1.0
+    """of the reward above in what the policy is trained on"""
+    external_weight: Annotated[float, Field(allow_inf_nan=False)] = 0.0
+    """of the task's own reward (eq. 1 for standing up); a negative one is a cost"""
+
+    @model_validator(mode="after")
+    def _rewards_something(self) -> "GoalSettings":
+        if self.goal_weight == 0 and self.external_weight == 0:
+            raise ValueError("goal_weight and external_weight are both 0, so nothing would be rewarded")
+        return self
 
 
 class EvaluationSettings(Section):

@@ -70,7 +70,10 @@ def segments(draw: st.DrawFn, **fixed: Any) -> Segment:
     }
     drawn = {name: fixed[name] if name in fixed else draw(field) for name, field in fields.items()}
     sizes = {"T": drawn["steps"], "E": drawn["columns"]}
-    return Segment(**drawn, arrays=draw(arrays_for(SEGMENT_ARRAYS[drawn["phase"]], sizes)))
+    arrays = arrays_for(SEGMENT_ARRAYS[drawn["phase"]], sizes)
+    if drawn["phase"] in (Phase.BABBLE, Phase.WALK):
+        arrays = arrays.filter(lambda made: {"observation", "image"} & made.keys())
+    return Segment(**drawn, arrays=draw(arrays))
 
 
 acks = st.builds(
@@ -117,6 +120,10 @@ scores = st.builds(
     z_goal=finite,
     switch_success=finite,
     crossing=st.none() | finite,
+    landmarks=st.dictionaries(labels, finite, max_size=3),
+    landmark_vertices=st.dictionaries(labels, counts, max_size=3),
+    external_reward=st.none() | finite,
+    external_reward_by_vertex=st.none() | st.lists(st.none() | finite, max_size=3),
     policy=st.sampled_from(["mean", "sampled"]),
     steps=counts,
     encoder_version=counts,

@@ -218,6 +218,8 @@ def test_more_arrays_than_any_message_has_are_refused():
     ("arrays", "sentence"),
     [
         ({"episode": None}, r"has \['observation'\], but lacks \['episode'\]"),
+        ({"observation": None}, r"has \['episode'\], but neither observation nor image"),
+        ({"image": np.zeros((2, 3, 4), "<f4")}, r"'image' must be \|u1 of shape \(T, E, ...\)"),
         ({"surprise": np.zeros((2, 3), "<i4")}, "may have .* but not 'surprise'"),
         ({"episode": np.zeros((2, 3), "<i8")}, r"must be <i4 of shape \(T, E\) .* but it is <i8"),
         ({"episode": np.zeros((2, 4), "<i4")}, r"\(T, E\) with T=2, E=3, but it is <i4 of shape \(2, 4\)"),

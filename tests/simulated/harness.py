@@ -11,7 +11,7 @@ from typing import Any
 
 from protocol import keys
 from protocol.codec import decode
-from protocol.messages import Segment, Status
+from protocol.messages import Phase, Segment, Status
 from services.actor.service import build as build_actor
 from services.coordinator.service import CoordinatorService as build_coordinator
 from services.encoder_learner.service import build as build_encoder_learner
@@ -54,6 +54,8 @@ class Simulation:
     """By (consumer, term, block): environment steps of each different segment (life, seq) that was sent."""
     used_steps: dict[tuple[str, int, str], int] = field(default_factory=dict)
     """By (learner, term, block): the most steps that the learner said it had used."""
+    said: list[tuple[float, Segment | Status]] = field(default_factory=list)
+    """Every segment and status with the time, in the order in which they were sent."""
     rounds: int = 0
 
     def start(self, service: str, life: str, index: int = 0) -> None:
@@ -95,6 +97,8 @@ class Simulation:
         bus.publish = noting
 
     def _note(self, message: object) -> None:
+        if isinstance(message, Segment | Status):
+            self.said.append((self.clock.now_secs(), message))
         match message:
             case Segment() as s:
                 sent = self.sent_steps.setdefault((s.consumer, s.term, s.block), {})
@@ -104,6 +108,14 @@ class Simulation:
                     if progress.unit == "steps":
                         key = (status.service, status.term, progress.block)
                         self.used_steps[key] = max(progress.done, self.used_steps.get(key, 0))
+
+    def segments(self, *phases: Phase) -> list[Segment]:
+        """All that were sent in some phases, also those sent again."""
+        return [said for _, said in self.said if isinstance(said, Segment) and said.phase in phases]
+
+    def statuses(self, life: str) -> list[tuple[float, Status]]:
+        """All of one process, with their times."""
+        return [(secs, said) for secs, said in self.said if isinstance(said, Status) and said.life == life]
 
     def crash(self, life: str) -> None:
         """As `kill -9`: no goodbye, nothing saved."""

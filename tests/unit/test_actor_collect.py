@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
+from babble.breakdowns import Breakdowns
 from babble.policy.goals import GoalClock
 from protocol.messages import Phase
-from services.actor.collect import EvaluationCollector, SegmentCollector, ways_of
+from services.actor.collect import SegmentCollector, ways_of
 from services.actor.config import Body, body_of, seeds_of
-from services.actor.models import Held, ModelShelf
+from services.actor.models import ModelShelf
 from services.runtime.settings import parse
+from tests.unit.actor_doubles import Shelf
 
 SETTINGS = parse(
     {
@@ -19,35 +21,6 @@ SETTINGS = parse(
     },
     origin="test",
 )
-
-
-class Half:
-    """An encoder: z_0 grows along x, so that it is known from the position."""
-
-    latent_dim = 2
-
-    def latent(self, observation: np.ndarray) -> np.ndarray:
-        first = 0.5 + 0.4 * observation[:, :1]
-        return np.concatenate([first, 1 - first], axis=1).astype(np.float32)
-
-
-class Push:
-    """A policy: towards the goal along x; tells its name by its log-probability."""
-
-    def __init__(self, name: float) -> None:
-        self.name = name
-
-    def act(self, z, g, rng, mode="sampled"):  # type: ignore[no-untyped-def]
-        action = np.zeros((len(z), 3), np.float32)
-        action[:, 0] = g[:, 0] - g[:, 1]
-        return action, np.full(len(z), self.name, np.float32)
-
-
-class Shelf(ModelShelf):
-    """A shelf with the models above."""
-
-    def put(self, policy_version: int) -> None:
-        self._held["body"] = Held(Half(), 1, Push(policy_version), policy_version)  # type: ignore[arg-type]
 
 
 @pytest.fixture
@@ -64,7 +37,9 @@ def body() -> Body:
 
 def collector_of(phase: Phase, body: Body, shelf: ModelShelf) -> SegmentCollector:
     ways = ways_of(phase, body, ["body"], shelf, SETTINGS, np.random.default_rng(1))
-    return SegmentCollector(body, ways, segment_steps=12, observation=body.world.reset())
+    return SegmentCollector(
+        body, ways, segment_steps=12, observation=body.world.reset(), breakdowns=Breakdowns("test")
+    )
 
 
 def test_babbling_records_where_the_body_was_before_each_step(body: Body, shelf: Shelf) -> None:
@@ -112,18 +87,6 @@ def test_models_change_only_at_the_border_of_a_segment(body: Body, shelf: Shelf)
     assert (first.policy_version, second.policy_version) == (1, 2)
     assert (first.arrays["log_prob"] == 1).all()
     assert (second.arrays["log_prob"] == 2).all()
-
-
-def test_an_evaluation_leaves_the_worlds_of_training_where_they_are(body: Body, shelf: Shelf) -> None:
-    before = body.world.posture()
-    fresh = body_of(SETTINGS, np.random.SeedSequence(9))
-    collector = EvaluationCollector(fresh, ["body"], shelf, SETTINGS, np.random.default_rng(2))
-    (finished,) = collector.advance(1)
-    np.testing.assert_array_equal(body.world.posture(), before)
-    assert finished.arrays["posture"].shape == (3, 3, 3)
-    assert len(np.unique(finished.arrays["start_posture"], axis=0)) == 3, "columns start at random places"
-    goals = finished.arrays["goal"]
-    assert (goals[1:] != goals[:-1]).all(), "each leg has another goal than the last"
 
 
 def test_replacing_an_actor_does_not_repeat_its_experience() -> None:

@@ -46,6 +46,22 @@ def test_crossing_counts_where_there_is_a_bridge() -> None:
     assert weakest(crosses) == 0.91
 
 
+def test_with_landmarks_each_of_them_and_z_min_count_and_separation_does_not() -> None:
+    near = row(1, 0.3, 0.95, landmarks={"open": 0.92, "closed": 1.0})
+    far = row(2, 1.0, 0.95, landmarks={"open": 1.0, "closed": 0.89})
+    assert meets_bar(near)
+    assert not meets_bar(far)
+    assert not meets_bar(row(3, 1.0, 0.85, landmarks={"open": 1.0, "closed": 1.0}))
+    assert best([far, near]) == near
+    assert reason(near).endswith("its weakest score is 0.920")
+
+
+def test_while_a_landmark_is_reached_by_none_the_others_decide() -> None:
+    early = row(1, 0.9, 0.95, landmarks={"open": 0.0, "closed": 1.0})
+    late = row(2, 0.9, 0.95, landmarks={"open": 0.0, "closed": 0.5})
+    assert best([early, late]) == early
+
+
 def test_the_bar_is_met_at_exactly_nine_tenths() -> None:
     assert meets_bar(row(1, 0.9, 0.9, crossing=0.9))
     assert not meets_bar(row(1, 0.9, 0.8999))

@@ -51,7 +51,18 @@ WORD = StatusReported(
     term=4,
     versions={"policy/body": 5},
     progress=(BlockProgress(block="body", done=3, wanted=16, unit="columns", finished=True),),
-    scores=(ROW, replace(ROW, policy="sampled", crossing=0.25)),
+    scores=(
+        ROW,
+        replace(ROW, policy="sampled", crossing=0.25),
+        replace(
+            ROW,
+            iteration=1,
+            landmarks={"open": 0.97, "closed": 0.0},
+            landmark_vertices={"open": 3},
+            external_reward=-0.25,
+            external_reward_by_vertex=(0.5, None),
+        ),
+    ),
     waiting_for='quotes ", line\nbreaks \u2028 and ünïcode',
 )
 HISTORY: list[Event] = [

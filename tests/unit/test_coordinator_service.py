@@ -2,14 +2,19 @@
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from protocol import keys
 from protocol.codec import decode
-from protocol.messages import Phase, Reply
+from protocol.messages import MAX_REPLY_CHARS, Phase, Reply
+from services.coordinator.report import describe
+from services.coordinator.state import State
 from services.runtime.errors import StorageError
+from services.runtime.settings import parse
+from tests.unit.coordinator_play import FLAT, score
 from tests.unit.coordinator_stage import RUN, Stage
 
 
@@ -88,6 +93,10 @@ def test_scores_and_the_best_are_written(stage: Stage) -> None:
         "z_goal",
         "switch_success",
         "crossing",
+        "landmarks",
+        "landmark_vertices",
+        "external_reward",
+        "external_reward_by_vertex",
         "policy",
         "steps",
         "encoder_version",
@@ -175,6 +184,21 @@ def test_describe_tells_who_is_there_and_what_it_waits_for(stage: Stage) -> None
     assert {member["service"] for member in told["members"]} == {"actor", "encoder_learner", "policy_learner"}
     assert told["settings"]["phases"]["iterations"] == 1
     assert (told["run"], told["phase"], told["iteration"]) == (RUN, "babble", 0)
+
+
+def test_describe_answers_with_the_newest_scores_however_many_there_are() -> None:
+    state = State(term=1)
+    row = replace(
+        score(state, "body"),
+        landmarks={"open": 1 / 3, "closed": 2 / 3},
+        external_reward_by_vertex=(1 / 3,) * 64,
+    )
+    state = replace(state, scores=tuple(replace(row, iteration=number) for number in range(2000)))
+    text = describe(RUN, parse({"scenario": "test"}, origin="test"), FLAT, state, {})
+    assert len(text) <= MAX_REPLY_CHARS
+    told = [told["iteration"] for told in json.loads(text)["scores"]]
+    assert len(told) > 50
+    assert told == list(range(2000 - len(told), 2000))
 
 
 def test_a_command_that_cannot_be_read_is_answered_with_a_failure(stage: Stage) -> None:

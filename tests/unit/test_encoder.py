@@ -8,13 +8,16 @@ from babble.encoder.network import Encoder
 from babble.encoder.training import EncoderTrainer
 from babble.memory import ExperienceMemory
 
+TWO = {"sense": (2,)}
+BOTH = {"sense": (3,), "eyes": (1, 8, 8, 3)}
+
 
 def weights(encoder):
     return torch.cat([p.detach().flatten() for p in encoder.parameters()])
 
 
 def trainer(seed=0, **settings):
-    encoder = Encoder(2, 2, (16,), seed=seed)
+    encoder = Encoder(TWO, 2, (16,), seed=seed)
     return EncoderTrainer(encoder, learning_rate=1e-2, batch=32, seed=seed, **settings)
 
 
@@ -30,27 +33,28 @@ def saved_and_loaded(state):
 def memory():
     """Two slow walks along the first axis; the second axis is noise."""
     rng = np.random.default_rng(0)
-    held = ExperienceMemory()
+    held = ExperienceMemory(TWO)
     slow = np.sin(np.arange(400) / 40)[:, None] * [1.0, -1.0]
-    held.extend("a", np.stack([slow, rng.standard_normal(slow.shape)], axis=2), np.zeros((400, 2)))
+    observation = np.stack([slow, rng.standard_normal(slow.shape)], axis=2)
+    held.extend("a", {"observation": observation}, np.zeros((400, 2)))
     return held
 
 
 def test_latents_lie_on_the_simplex_row_by_row():
-    z = Encoder(5, 3)(torch.randn(7, 5) * 10)
+    z = Encoder({"sense": (5,)}, 3)(torch.randn(7, 5) * 10)
     assert z.shape == (7, 3)
     assert (z >= 0).all()
     np.testing.assert_allclose(z.detach().sum(dim=1), 1, rtol=1e-6)
 
 
 def test_the_latent_of_an_observation_does_not_depend_on_its_batch():
-    encoder, observation = Encoder(4, 3, seed=0), torch.randn(6, 4)
+    encoder, observation = Encoder({"sense": (4,)}, 3, seed=0), torch.randn(6, 4)
     alone = torch.cat([encoder(row[None]) for row in observation])
     np.testing.assert_allclose(alone.detach(), encoder(observation).detach(), rtol=1e-5)
 
 
 def test_equation_10_by_hand():
-    encoder = Encoder(2, 3, (4,), mean=[1.0, -1.0], scale=2.0, seed=3)
+    encoder = Encoder(TWO, 3, (4,), mean=[1.0, -1.0], scale=2.0, seed=3)
     observation = np.array([[0.5, 0.7]], np.float32)
     first, last = ((part.weight.detach().numpy(), part.bias.detach().numpy()) for part in encoder.layers)
     h = np.tanh((observation - [1.0, -1.0]) / 2.0 @ first[0].T + first[1])
@@ -61,28 +65,37 @@ def test_equation_10_by_hand():
 
 def test_the_scaling_is_frozen(memory):
     mean, scale = memory.scaling()
-    encoder = Encoder(2, 2, (16,), mean, scale, seed=0)
+    encoder = Encoder(TWO, 2, (16,), mean, scale, seed=0)
     fit = EncoderTrainer(encoder, learning_rate=1e-2, batch=32, seed=0)
     fit.begin_fit(5, 0.3)
     fit.update(memory, 20)
     fit.end_fit(0.5)
     np.testing.assert_array_equal(encoder.mean, mean)
-    assert encoder.scale.item() == np.float32(scale)
+    np.testing.assert_array_equal(encoder.scale, scale)
 
 
 def test_the_seed_fixes_the_weights_and_leaves_torchs_own_generator_alone():
     torch.manual_seed(1)
     before = torch.get_rng_state()
-    one, again, other = Encoder(3, 2, seed=5), Encoder(3, 2, seed=5), Encoder(3, 2, seed=6)
+    one, again, other = (Encoder(BOTH, 2, seed=seed) for seed in (5, 5, 6))
     assert torch.equal(torch.get_rng_state(), before)
     assert torch.equal(weights(one), weights(again))
     assert not torch.equal(weights(one), weights(other))
 
 
-@pytest.mark.parametrize(("mean", "scale"), [([0.0], 1.0), ([0.0, 0.0], 0.0), ([0.0, 0.0], float("nan"))])
+@pytest.mark.parametrize(
+    ("mean", "scale"),
+    [
+        ([0.0], 1.0),
+        ([0.0, 0.0], 0.0),
+        ([0.0, 0.0], float("nan")),
+        ([0.0, 0.0], [1.0, 1.0, 1.0]),
+        ([0.0, 0.0], [1.0, -1.0]),
+    ],
+)
 def test_a_wrong_scaling_is_refused(mean, scale):
     with pytest.raises(ValueError, match="a mean of 2 numbers and a positive scale"):
-        Encoder(2, 2, mean=mean, scale=scale)
+        Encoder(TWO, 2, mean=mean, scale=scale)
 
 
 @pytest.mark.parametrize("similarity", ["l2", "cosine", "dot"])

@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 
 from babble.blocks import BlockTree
+from babble.observations import Layout, Senses
 from babble.policy.act import EncoderModel, PolicyModel
 from protocol.messages import ModelFloor, Phase, PhaseAnnounced, Segment
 from services.encoder_learner import config as encoder_config
 from services.encoder_learner.work import EncoderWork
 from services.policy_learner import config as policy_config
 from services.policy_learner.work import PolicyWork
-from services.runtime.settings import RunSettings, parse
+from services.runtime.settings import RunSettings, SettingsError, parse
 
+POSITION: Senses = {"position": (3,)}
 TABLE: dict[str, Any] = {
     "scenario": "test",
     "actors": {"envs_per_actor": 4, "segment_steps": 8},
@@ -61,9 +63,9 @@ def segment(phase: Phase, seq: int, rng: np.random.Generator, **header: Any) -> 
     )  # fmt: skip
 
 
-def new_encoder_work(settings: RunSettings) -> EncoderWork:
-    tree = BlockTree.of(settings.block, 3, 3)
-    return EncoderWork(encoder_config.work_config(settings, tree, "body", 0))
+def new_encoder_work(settings: RunSettings, senses: Senses = POSITION) -> EncoderWork:
+    tree = BlockTree.of(settings.block, Layout(senses).size, 3)
+    return EncoderWork(encoder_config.work_config(settings, tree, senses, "body", 0))
 
 
 def new_policy_work(settings: RunSettings) -> PolicyWork:
@@ -198,6 +200,102 @@ def test_positives_are_never_taken_across_missing_steps() -> None:
     assert apart.max() <= 12
     assert not ((anchor[:, 0] < 16) & (positive[:, 0] >= 24)).any()
     assert ((anchor[:, 0] < 8) & (positive[:, 0] >= 8)).any(), "a border without a gap is crossed"
+
+
+def test_positives_are_never_taken_across_a_segment_that_was_refused() -> None:
+    work, rng = new_encoder_work(settings_of()), np.random.default_rng(0)
+    work.begin(announce(Phase.BABBLE, 1))
+    for seq in range(3):
+        taken = segment(Phase.BABBLE, seq, rng).model_copy(update={"first_step": 8 * seq})
+        taken.arrays["observation"][:] = 8 * seq + np.arange(8, dtype=np.float32)[:, None, None]
+        if seq == 1:
+            taken.arrays["observation"][3] = np.nan
+            with pytest.raises(ValueError, match="not finite"):
+                work.take(taken)
+        else:
+            assert work.take(taken)
+    anchor, positive = work._memory.sample_pairs(rng, 500, 12)
+    assert (positive - anchor).max() <= 7
+
+
+EYES: Senses = {"joints": (2,), "eyes": (1, 8, 8, 3)}
+
+
+def seen(seq: int, rng: np.random.Generator) -> Segment:
+    """A segment with images."""
+    plain = segment(Phase.BABBLE, seq, rng, policy="random")
+    layout, walk = Layout(EYES), plain.arrays["observation"]
+    observation = np.concatenate([walk[..., :2], rng.integers(0, 256, (8, 4, 192))], axis=-1)
+    return plain.model_copy(
+        update={"arrays": layout.pack(observation.astype(np.float32)) | {"episode": plain.arrays["episode"]}}
+    )
+
+
+def test_an_encoder_of_images_restarted_in_the_middle_ends_with_the_same_model() -> None:
+    settings = settings_of(encoder=TABLE["encoder"] | {"encode": {"updates": 30}})
+    straight, rng = new_encoder_work(settings, EYES), np.random.default_rng(0)
+    straight.begin(announce(Phase.BABBLE, 1))
+    assert straight.take(seen(0, rng))
+    restarted = new_encoder_work(settings, EYES)
+    restarted.restore(straight.state())
+    second = seen(1, rng).model_copy(update={"first_step": 8})
+    for work in (straight, restarted):
+        assert work.take(second)
+        work.begin(announce(Phase.ENCODE, 2))
+    straight.advance()
+    restarted.restore(straight.state())
+    finish(straight)
+    finish(restarted)
+    one = straight.model()
+    assert one is not None
+    assert one == restarted.model()
+    assert EncoderModel(one.onnx).observation_size == 194
+
+
+def test_experience_of_other_senses_is_refused_in_a_sentence() -> None:
+    work, rng = new_encoder_work(settings_of(), EYES), np.random.default_rng(0)
+    work.begin(announce(Phase.BABBLE, 1))
+    with pytest.raises(
+        ValueError, match="of actor-1/0: these senses are packed as observation of 2, image of 192"
+    ):
+        work.take(segment(Phase.BABBLE, 0, rng))
+
+
+def test_each_block_learns_from_the_senses_that_it_observes() -> None:
+    blocks = [
+        {"name": "arm", "observes": [1, *range(2, 194)], "drives": [0]},
+        {"name": "leg", "observes": [0], "drives": [1]},
+        {"name": "both", "children": ["arm", "leg"]},
+    ]
+    settings = settings_of(block=blocks)
+    tree = BlockTree.of(settings.block, 194, 2)
+    senses = [
+        encoder_config.work_config(settings, tree, EYES, name, index).senses
+        for index, name in enumerate(("arm", "leg", "both"))
+    ]
+    assert senses == [{"joints": (1,), "eyes": (1, 8, 8, 3)}, {"joints": (1,)}, {"latent": (4,)}]
+
+
+def test_a_block_that_observes_part_of_an_image_is_refused_by_name() -> None:
+    settings = settings_of(block=[{"observes": [0, 1, 2, 3]}])
+    tree = BlockTree.of(settings.block, 194, 3)
+    with pytest.raises(SettingsError, match="block 'body': a block observes images whole"):
+        encoder_config.work_config(settings, tree, EYES, "body", 0)
+
+
+@pytest.mark.parametrize(("side", "steps", "refused"), [(64, 20_000, False), (128, 50_000, True)])
+def test_experience_that_memory_cannot_hold_is_refused_at_the_start(
+    side: int, steps: int, refused: bool
+) -> None:
+    settings = settings_of(phases=TABLE["phases"] | {"walk_steps": steps})
+    senses = {"eyes": (2, side, side, 3)}
+    tree = BlockTree.of(settings.block, Layout(senses).size, 3)
+    configs = [encoder_config.work_config(settings, tree, senses, "body", 0)]
+    if refused:
+        with pytest.raises(SettingsError, match=r"need 9.8 GB .* block 'body'.* limit of 8 GB; lower phases"):
+            encoder_config.check_memory(configs)
+    else:
+        encoder_config.check_memory(configs)
 
 
 @pytest.mark.parametrize("spoilt", [{"goal": 7}, {"latent": np.nan}, {"posture": np.inf}])

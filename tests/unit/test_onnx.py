@@ -10,16 +10,19 @@ import babble.encoder.export
 import babble.policy.export
 from babble.encoder.export import ExportError, encoder_weights, export_encoder
 from babble.encoder.network import Encoder
+from babble.observations import Layout
 from babble.onnx_model import encoder_onnx, policy_onnx
 from babble.policy.act import EncoderModel, ModelError, PolicyModel
 from babble.policy.export import export_policy
 from babble.policy.goals import one_hot
 from babble.policy.ppo import GoalPPO
 
+THREE = {"sense": (3,)}
+
 
 @pytest.fixture(scope="module")
 def encoder_bytes():
-    return export_encoder(Encoder(3, 2, (16, 8), mean=[1.0, 2.0, 3.0], scale=0.5, seed=0))
+    return export_encoder(Encoder(THREE, 2, (16, 8), mean=[1.0, 2.0, 3.0], scale=0.5, seed=0))
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +38,7 @@ def policy_bytes(ppo):
 @pytest.mark.parametrize(("n", "d", "hidden"), [(3, 2, (64, 64)), (14, 8, ()), (1, 3, (5, 4, 3))])
 def test_the_encoder_computes_the_same_as_in_torch(n, d, hidden):
     rng = np.random.default_rng(0)
-    encoder = Encoder(n, d, hidden, mean=rng.standard_normal(n), scale=3.0, seed=1)
+    encoder = Encoder({"sense": (n,)}, d, hidden, mean=rng.standard_normal(n), scale=3.0, seed=1)
     model = EncoderModel(export_encoder(encoder))
     assert (model.observation_size, model.latent_dim) == (n, d)
     for batch in (1, 16, 100):
@@ -45,6 +48,29 @@ def test_the_encoder_computes_the_same_as_in_torch(n, d, hidden):
         found = model.latent(observation)
         assert found.dtype == np.float32
         np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "senses",
+    [
+        {"eyes": (2, 16, 16, 3)},
+        {"joints": (4,), "eyes": (1, 20, 33, 3), "touch": (2, 3)},
+        {"left": (1, 8, 8, 3), "joints": (4,), "right": (2, 9, 5, 3)},
+        {"eyes": (2, 128, 128, 3), "joints": (1,)},
+    ],
+)
+def test_an_encoder_of_several_senses_takes_one_flat_observation_and_computes_the_same(senses):
+    rng = np.random.default_rng(0)
+    n = Layout(senses).size
+    mean, scale = 100 * rng.standard_normal(n), 50 * np.exp(rng.standard_normal(n))
+    encoder = Encoder(senses, 3, (16,), mean=mean, scale=scale, seed=1)
+    model = EncoderModel(export_encoder(encoder))
+    assert (model.observation_size, model.latent_dim) == (n, 3)
+    for batch in (1, 5):
+        observation = rng.integers(0, 256, (batch, n)).astype(np.float32)
+        with torch.no_grad():
+            expected = encoder(torch.from_numpy(observation)).numpy()
+        np.testing.assert_allclose(model.latent(observation), expected, atol=1e-6)
 
 
 @pytest.mark.parametrize(("d", "a", "hidden"), [(2, 3, (64, 64)), (4, 1, (8,))])
@@ -91,7 +117,7 @@ def test_the_seed_decides_the_actions(policy_bytes):
 
 
 def test_the_same_weights_give_the_same_bytes(encoder_bytes):
-    weights = encoder_weights(Encoder(3, 2, (16, 8), mean=[1.0, 2.0, 3.0], scale=0.5, seed=0))
+    weights = encoder_weights(Encoder(THREE, 2, (16, 8), mean=[1.0, 2.0, 3.0], scale=0.5, seed=0))
     assert encoder_onnx(weights) == encoder_bytes
 
 
@@ -104,10 +130,10 @@ def test_the_model_file_is_valid_and_of_a_fixed_format(encoder_bytes, policy_byt
 
 def test_an_export_that_computes_something_else_is_refused(monkeypatch, ppo):
     monkeypatch.setattr(
-        babble.encoder.export, "encoder_weights", lambda _: encoder_weights(Encoder(3, 2, seed=1))
+        babble.encoder.export, "encoder_weights", lambda _: encoder_weights(Encoder(THREE, 2, seed=1))
     )
     with pytest.raises(ExportError, match="off the network"):
-        export_encoder(Encoder(3, 2, seed=0))
+        export_encoder(Encoder(THREE, 2, seed=0))
     other = policy_onnx(GoalPPO(2, 3, hidden=(16,), seed=8).export_weights())
     monkeypatch.setattr(babble.policy.export, "policy_onnx", lambda _: other)
     with pytest.raises(babble.policy.export.ExportError, match="off the network"):
@@ -115,7 +141,7 @@ def test_an_export_that_computes_something_else_is_refused(monkeypatch, ppo):
 
 
 def test_weights_that_are_not_numbers_are_not_exported():
-    encoder = Encoder(3, 2, seed=0)
+    encoder = Encoder(THREE, 2, seed=0)
     with torch.no_grad():
         encoder.layers[0].bias.fill_(float("nan"))
     with pytest.raises(ExportError):
@@ -169,7 +195,7 @@ def test_what_an_actor_imports_holds_no_torch():
     program = """
 import sys
 import babble.blocks, babble.noise, babble.policy.act, babble.policy.goals, babble.scores, babble.segments
-import babble.memory, babble.worlds
+import babble.memory, babble.observations, babble.worlds
 found = {"torch", "stable_baselines3", "onnx"} & set(sys.modules)
 assert not found, found
 """

@@ -21,19 +21,19 @@ UPDATES = 10
 
 
 def babbled(world):
-    memory, segments = ExperienceMemory(), SegmentBuilder(125, COLUMNS)
+    memory, segments = ExperienceMemory(world.senses), SegmentBuilder(125, COLUMNS)
     noise = make_noise("ou", scale=0.6, columns=COLUMNS, size=3, rng=np.random.default_rng(1))
     observation = world.reset()
     for _ in range(BABBLE_STEPS):
         if segment := segments.add(observation=observation, episode=np.zeros(COLUMNS, np.int32)):
-            memory.extend("a", segment["observation"], segment["episode"])
+            memory.extend("a", {"observation": segment["observation"]}, segment["episode"])
         observation = world.step(noise.sample()).observation
     return memory
 
 
 def fitted(memory):
     trainer = EncoderTrainer(
-        Encoder(3, 2, (64, 64), *memory.scaling(), seed=0), learning_rate=1e-3, batch=128
+        Encoder(memory.layout.senses, 2, (64, 64), *memory.scaling(), seed=0), learning_rate=1e-3, batch=128
     )
     trainer.begin_fit(30, 0.3)
     trainer.update(memory, 400)

@@ -1,8 +1,10 @@
 import numpy as np
 import pytest
 
+from babble.blocks import BlockSpec, BlockTree
+from babble.landmarks import Landmark
 from babble.policy.goals import one_hot
-from babble.scores import Legs, Walker, score, walk_blocks, walk_legs
+from babble.scores import Legs, Walker, landmarks_of, score, walk_blocks, walk_legs
 from babble.worlds import make
 
 ENDS = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
@@ -22,6 +24,10 @@ def test_a_perfect_walk():
         "z_goal": 1.0,
         "switch_success": 1.0,
         "crossing": 1.0,
+        "landmarks": {},
+        "landmark_vertices": {},
+        "external_reward": None,
+        "external_reward_by_vertex": None,
     }
 
 
@@ -65,6 +71,78 @@ def test_more_than_two_vertices_are_compared_in_pairs_of_their_mean_ends():
     assert found["separation"] == pytest.approx((5 + 4 + 3) / 3 / 10)
     assert found["separation_worst"] == pytest.approx(0.3)
     assert found["z_min"] == 1.0, "a vertex that was never a goal says nothing"
+
+
+LEFT, RIGHT = Landmark("left", ((0,),), -1.0, -0.8), Landmark("right", ((0,),), 0.8, 1.0)
+
+
+def test_a_landmark_is_reached_by_the_legs_to_the_vertex_that_stands_for_it():
+    legs = perfect([[0, 0], [1, 1], [0, 0], [1, 1], [0, 0]])
+    legs.posture[3, 0] = 0.0
+    found = score(legs, 2.0, landmarks=[RIGHT, LEFT])
+    assert found["landmark_vertices"] == {"right": 1, "left": 0}
+    assert found["landmarks"] == {"right": 0.75, "left": 1.0}
+
+
+def test_the_first_leg_counts_for_no_landmark():
+    legs = perfect([[0], [1], [0]])
+    legs.posture[0] = 0.0
+    assert score(legs, 2.0, landmarks=[LEFT])["landmarks"] == {"left": 1.0}
+
+
+def test_a_landmark_that_no_leg_reaches_has_no_vertex():
+    found = score(perfect([[0], [1], [0]]), 2.0, landmarks=[LEFT, Landmark("up", ((1,),), 0.5, 1.0)])
+    assert found["landmarks"] == {"left": 1.0, "up": 0.0}
+    assert found["landmark_vertices"] == {"left": 0}
+
+
+def test_vertices_are_given_to_landmarks_so_that_the_sum_of_shares_is_greatest():
+    ends = np.array([[0.2, 0.2, 0.2, 0.5], [0.6, 0.6, 0.6, -1.0]])  # by vertex and column
+    goal = np.repeat([[0], [1], [0], [1]], 4, axis=1)
+    legs = Legs(ends[goal, np.arange(4)][:, :, None], one_hot(goal, 2), goal)
+    wide, narrow = Landmark("wide", ((0,),), 0.1, 1.0), Landmark("narrow", ((0,),), 0.15, 0.3)
+    found = score(legs, 1.0, landmarks=[wide, narrow])
+    assert found["landmark_vertices"] == {"wide": 1, "narrow": 0}, (
+        "all of vertex 0 is wide, but no other narrow"
+    )
+    assert found["landmarks"] == {"wide": 0.75, "narrow": 0.75}
+
+
+def test_more_landmarks_than_vertices_leave_some_without():
+    landmarks = [LEFT, RIGHT, Landmark("anywhere", ((1,),), -1.0, 1.0)]
+    found = score(perfect([[0], [1], [0]]), 2.0, landmarks=landmarks)
+    assert sum(found["landmarks"].values()) == 2.0
+    assert len(found["landmark_vertices"]) == 2
+
+
+def test_a_landmark_needs_all_of_its_groups_there():
+    hand = Landmark("closed", ((0,), (1, 2)), 0.8, 1.0)
+    posture = np.array([[1.0, 1.0, 1.0], [1.0, 1.0, 0.0], [0.0, 1.0, 1.0], [0.8, 0.7, 0.9]])
+    np.testing.assert_array_equal(hand.at(posture), [True, False, False, True])
+
+
+def test_blocks_that_move_a_part_of_the_body_each_are_asked_for_no_landmark():
+    class Hand:
+        landmarks = (LEFT,)
+
+    both = [BlockSpec("a", 2, (0,), (0,)), BlockSpec("b", 2, (1,), (1,))]
+    assert landmarks_of(Hand(), BlockTree([BlockSpec("hand", 2)], 2, 2)) == (LEFT,)
+    assert landmarks_of(Hand(), BlockTree(both, 2, 2)) == ()
+
+
+def test_the_external_reward_is_the_mean_over_scored_legs_and_by_vertex():
+    goal = np.array([[0, 0], [1, 1], [0, 0]])
+    rewards = np.array([[9.0, 9.0], [1.0, 2.0], [-1.0, 0.0]])
+    found = score(Legs(np.zeros((3, 2, 1)), one_hot(goal, 3), goal, external_reward=rewards), 1.0)
+    assert found["external_reward"] == 0.5
+    assert found["external_reward_by_vertex"] == [-0.5, 1.5, None]
+
+
+def test_rewards_of_another_shape_are_refused():
+    goal = np.zeros((3, 2), int)
+    legs = Legs(np.zeros((3, 2, 1)), one_hot(goal, 2), goal, external_reward=np.zeros((3, 1)))
+    with pytest.raises(ValueError, match=r"external_reward \(3, 1\)"):
+        score(legs, 1.0)
 
 
 @pytest.mark.parametrize("goal", [[[0], [1]], []])

@@ -29,6 +29,9 @@ def test_each_shipped_scenario_is_valid_and_named_after_its_file(path: Path) -> 
         ({"actors": {"envs_per_actor": 64}}, "envs_per_actor may be at most 48"),
         ({"encoder": {"blend": 0}}, r"encoder\.blend: .*greater than 0"),
         ({"policy": {"max_policy_lag": 0}}, r"policy\.max_policy_lag: .*greater than or equal to 1"),
+        ({"goals": {"goal_weight": -1}}, r"goals\.goal_weight: .*greater than or equal to 0"),
+        ({"goals": {"goal_weight": 0}}, "both 0, so nothing would be rewarded"),
+        ({"goals": {"external_weight": float("inf")}}, r"goals\.external_weight: .*finite"),
         ({"seed": -1}, r"origin: seed: .*greater than or equal to 0"),
     ],
 )

@@ -61,6 +61,18 @@ GOLDEN: dict[str, Message] = {
         {"observation": ramp((2, 3, 4), "<f4"), "episode": ramp((2, 3), "<i4")},
         consumer="encoder_learner",
     ),
+    "segment-walk": segment(
+        Phase.WALK,
+        {
+            "observation": ramp((2, 3, 4), "<f4"),
+            "image": ramp((2, 3, 24), "|u1"),
+            "episode": ramp((2, 3), "<i4"),
+        },
+        consumer="encoder_learner",
+        encoder_version=1,
+        policy_version=8,
+        policy="sampled",
+    ),
     "segment-practise": segment(
         Phase.PRACTISE,
         {
@@ -69,6 +81,21 @@ GOLDEN: dict[str, Message] = {
             "log_prob": -ramp((2, 3), "<f4"),
             "truncated": ramp((2, 3), "|u1"),
             "terminated": np.zeros((2, 3), "|u1"),
+        },
+        consumer="policy_learner",
+        encoder_version=2,
+        policy_version=9,
+        policy="sampled",
+    ),
+    "segment-ground-rewarded": segment(
+        Phase.GROUND,
+        {
+            **{name: ramp((2, 3, 2), "<f4") for name in ("latent", "next_latent", "goal")},
+            "action": ramp((2, 3, 5), "<f4"),
+            "log_prob": -ramp((2, 3), "<f4"),
+            "truncated": ramp((2, 3), "|u1"),
+            "terminated": np.zeros((2, 3), "|u1"),
+            "external_reward": ramp((2, 3), "<f4"),
         },
         consumer="policy_learner",
         encoder_version=2,
@@ -84,6 +111,18 @@ GOLDEN: dict[str, Message] = {
         },
         consumer="policy_learner",
         policy="mean",
+    ),
+    "segment-evaluate-rewarded": segment(
+        Phase.EVALUATE,
+        {
+            "start_posture": ramp((3, 6), "<f4"),
+            "posture": ramp((4, 3, 6), "<f4"),
+            "latent": ramp((4, 3, 2), "<f4"),
+            "goal": ramp((4, 3), "<i4"),
+            "external_reward": -ramp((4, 3), "<f4"),
+        },
+        consumer="policy_learner",
+        policy="sampled",
     ),
     "ack": Ack(
         **header(life="policy-0c11"),
@@ -139,6 +178,30 @@ GOLDEN: dict[str, Message] = {
         duplicated=1,
         refused={"stale": 3},
         waiting_for="policy_learner: 3 of 16 columns; Überraschung ✓",
+    ),
+    "status-landmarks": Status(
+        **header(block="all", life="policy-0c11"),
+        service="policy_learner",
+        phase=Phase.EVALUATE,
+        scores=[
+            Score(
+                run="hand-1",
+                block="body",
+                iteration=1,
+                phase=Phase.PRACTISE,
+                separation=0.5,
+                separation_worst=0.25,
+                z_min=0.75,
+                z_goal=0.875,
+                switch_success=1.0,
+                landmarks={"open": 0.96875, "closed": 0.0},
+                landmark_vertices={"open": 3},
+                external_reward=-0.5,
+                external_reward_by_vertex=[0.25, None, -1.25, 0.0],
+                policy="sampled",
+                steps=8000,
+            )
+        ],
     ),
     "view": View(
         **header(),

@@ -1,0 +1,226 @@
+"""Sending a trained block from vertex to vertex, for its scores (thesis ch. 4)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from babble.breakdowns import Breakdowns
+from babble.policy.goals import WalkClock
+from babble.worlds.batch import Step, World
+
+Floats = NDArray[np.float32]
+Mode = Literal["sampled", "mean"]
+
+
+class Encodes(Protocol):
+    """The encoder as a walk needs it; babble.policy.act.EncoderModel."""
+
+    @property
+    def latent_dim(self) -> int:
+        """d"""
+        ...
+
+    def latent(self, observation: Floats) -> Floats:
+        """(E, n) -> (E, d)."""
+        ...
+
+
+class Acts(Protocol):
+    """The policy as a walk needs it; babble.policy.act.PolicyModel."""
+
+    def act(
+        self, z: Floats, g: Floats, rng: np.random.Generator, mode: Mode = "sampled"
+    ) -> tuple[Floats, Floats]:
+        """Actions (E, a) and their log probabilities (E,)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Walker:
+    """One block's models, and which part of the body they see and move."""
+
+    encoder: Encodes
+    policy: Acts
+    observed: NDArray[np.intp]
+    """indices of the world's observation"""
+    driven: NDArray[np.intp]
+    """indices of the world's action"""
+
+
+@dataclass(frozen=True)
+class Legs:
+    """Where each leg ended: L legs of E columns."""
+
+    posture: NDArray[Any]
+    """(L, E, p), of the whole body"""
+    latent: NDArray[Any]
+    """(L, E, d)"""
+    goal: NDArray[Any]
+    """(L, E) the vertex that was aimed at"""
+    start_posture: NDArray[Any] | None = None
+    """(E, p) where the columns began"""
+    external_reward: NDArray[Any] | None = None
+    """(L, E) the task's own reward, the mean over the second half of each leg's steps: in the first
+    half the body is still on its way from the vertex before"""
+
+
+@dataclass
+class Path:
+    """What a walk went through, T steps in all."""
+
+    posture: list[Floats] = field(default_factory=list)
+    """1 + T arrays (E, p), the start first"""
+    latent: dict[str, list[Floats]] = field(default_factory=dict)
+    """by block, T arrays (E, d): what each step was taken at"""
+
+
+class Walk:
+    """All columns go from random starts to `legs` vertices, `leg_steps` each, never one twice in a row.
+
+    All blocks walk at once, each to vertices of its own. An episode that ends on the way begins anew,
+    towards the same vertex. When a column's simulation breaks down, the whole walk begins again.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        walkers: Mapping[str, Walker],
+        rng: np.random.Generator,
+        legs: int,
+        leg_steps: int,
+        mode: Mode = "mean",
+        *,
+        breakdowns: Breakdowns | None = None,
+        traced: bool = False,
+    ) -> None:
+        """`breakdowns` counts them (its own are counted if none is given); `traced` keeps the `path`."""
+        self.steps = 0
+        """steps of the world so far, also of attempts that broke down"""
+        self.path = Path()
+        """of the present attempt; empty unless traced"""
+        self._world = world
+        self._walkers = walkers
+        self._rng = rng
+        self._legs, self._leg_steps = legs, leg_steps
+        self._mode: Mode = mode
+        self._breakdowns = breakdowns or Breakdowns(world.id)
+        self._traced = traced
+        self._begin()
+
+    @property
+    def done(self) -> bool:
+        """True once all legs are walked."""
+        return len(self._postures) == self._legs
+
+    def advance(self, steps: int) -> bool:
+        """Up to `steps` more steps of the world; true once the walk is done.
+
+        Raises `UnstableError` if the simulation breaks down again and again.
+        """
+        for _ in range(steps):
+            if self.done:
+                break
+            self._step()
+        return self.done
+
+    def legs(self) -> dict[str, Legs]:
+        """The legs by block. Raises RuntimeError before the walk is done."""
+        if not self.done:
+            raise RuntimeError("the legs are known once the walk is done")
+        return {
+            block: Legs(
+                posture=np.stack(self._postures),
+                latent=np.stack([latent for latent, _ in ends]),
+                goal=np.stack([goal for _, goal in ends]),
+                start_posture=self._start,
+                external_reward=np.stack(self._rewards),
+            )
+            for block, ends in self._ends.items()
+        }
+
+    def _begin(self) -> None:
+        self._clocks = {
+            block: WalkClock(self._world.columns, walker.encoder.latent_dim, self._leg_steps, self._rng)
+            for block, walker in self._walkers.items()
+        }
+        self._observation = self._world.reset("random")
+        self._start = self._world.posture()
+        self._in_leg = 0
+        self._reward = np.zeros(self._world.columns, np.float32)
+        self._postures: list[Floats] = []
+        self._rewards: list[Floats] = []
+        self._ends: dict[str, list[tuple[Floats, NDArray[np.int32]]]] = {b: [] for b in self._walkers}
+        if self._traced:
+            self.path = Path([self._start], {block: [] for block in self._walkers})
+
+    def _step(self) -> None:
+        step = self._world.step(self._action())
+        self.steps += 1
+        if step.failed is not None and step.failed.any():
+            self._breakdowns.note(step.failed, len(self._walkers))
+            self._begin()
+            return
+        if self._traced:
+            self.path.posture.append(self._world.posture())
+        if self._in_leg >= self._leg_steps // 2:
+            self._reward = self._reward + step.external_reward
+        self._in_leg += 1
+        if self._in_leg == self._leg_steps:
+            self._arrive(step)
+        for clock in self._clocks.values():
+            clock.tick()
+        ended = step.terminated | step.truncated
+        self._observation = self._world.restart(ended) if ended.any() else step.observation
+
+    def _action(self) -> Floats:
+        """The action (E, a) of all blocks together; what no block drives stays at 0."""
+        action = np.zeros((self._world.columns, self._world.action_size), np.float32)
+        for block, walker in self._walkers.items():
+            latent = walker.encoder.latent(self._observation[:, walker.observed])
+            goal = self._clocks[block].goal
+            action[:, walker.driven], _ = walker.policy.act(latent, goal, self._rng, self._mode)
+            if self._traced:
+                self.path.latent[block].append(latent)
+        return action
+
+    def _arrive(self, step: Step) -> None:
+        self._postures.append(self._world.posture())
+        self._rewards.append(self._reward / np.float32(self._leg_steps - self._leg_steps // 2))
+        self._reward, self._in_leg = np.zeros_like(self._reward), 0
+        for block, walker in self._walkers.items():
+            latent = walker.encoder.latent(step.observation[:, walker.observed])
+            self._ends[block].append((latent, self._clocks[block].index.astype(np.int32)))
+        if self.done:
+            self._breakdowns.finish()
+
+
+def walk_blocks(
+    world: World,
+    walkers: Mapping[str, Walker],
+    rng: np.random.Generator,
+    legs: int,
+    leg_steps: int,
+    mode: Mode = "mean",
+) -> dict[str, Legs]:
+    """A whole `Walk` in one go; the legs by block. Raises `UnstableError`."""
+    walk = Walk(world, walkers, rng, legs, leg_steps, mode)
+    while not walk.advance(leg_steps):
+        pass
+    return walk.legs()
+
+
+def walk_legs(
+    world: World,
+    encoder: Encodes,
+    policy: Acts,
+    rng: np.random.Generator,
+    legs: int,
+    leg_steps: int,
+    mode: Mode = "mean",
+) -> Legs:
+    """The legs of one block that sees and moves the whole body; see `Walk`."""
+    walker = Walker(encoder, policy, np.arange(world.observation_size), np.arange(world.action_size))
+    return walk_blocks(world, {"": walker}, rng, legs, leg_steps, mode)[""]
