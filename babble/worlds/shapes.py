@@ -4,6 +4,7 @@ The reward is 0 and an episode never ends by itself: the goal's reward is comput
 (babble.policy.goals.reward), and a time limit is the user's choice.
 """
 
+import inspect
 from typing import Any, ClassVar
 
 import gymnasium
@@ -33,6 +34,11 @@ class Shape(gymnasium.Env[Floats, Floats]):
         self.observation_space = spaces.Box(-edge, edge, dtype=np.float32)
         self.action_space = spaces.Box(-1.0, 1.0, (3,), dtype=np.float32)
         self._points = self.world(columns=1, rng=np.random.default_rng())
+
+    @classmethod
+    def defaults(cls) -> dict[str, Any]:
+        """The parameters and their default values."""
+        return {name: given.default for name, given in inspect.signature(cls).parameters.items()}
 
     @property
     def diameter(self) -> float:

@@ -1,0 +1,112 @@
+"""`MimoRollover`: the whole body on the floor (thesis 4.5): 46 motors, 49 joints, 98 observations."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from babble.worlds.batch import Start
+from babble.worlds.mimo.body import infant
+from babble.worlds.mimo.figures import load
+from babble.worlds.mimo.finger import check_choice
+from babble.worlds.mimo.scenes import add_face, add_floor, hold_head, place
+from babble.worlds.physics.actuation import Indices
+from babble.worlds.physics.env import BodyParameters, MujocoEnv, blueprint
+from babble.worlds.physics.patterns import matching, names_of
+from babble.worlds.physics.task import Play
+from babble.worlds.physics.world import Blueprint
+from babble.worlds.senses.joints import Unit
+from babble.worlds.senses.rendering import View
+
+POSES = ("supine", "prone")
+CLEARANCE_M = 0.02
+"""So much above the settled height a turned body begins, so as not to begin in the floor."""
+SETTLE_SECS = 2.0
+"""How long the body lies still, once, to find the pose in which episodes begin."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RolloverParameters(BodyParameters):
+    """Parameters of `MimoRollover`."""
+
+    senses: tuple[str, ...] = ("position", "velocity")
+    angles: Unit = "radians"
+    episode_steps: int = 500
+    start: str = "supine"
+    """on the back ("supine") or on the belly ("prone")"""
+    reset_noise_rad: float = 0.01
+    """each joint begins so far, at most, from the settled pose"""
+    settle_steps: int = 100
+    """physics steps without action before an episode begins"""
+    head_held: bool = True
+    """the head fixed to the trunk and the eyes to the head"""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_choice("start", self.start, POSES)
+        if not isinstance(self.reset_noise_rad, int | float) or not 0 <= self.reset_noise_rad < 1:
+            raise ValueError(f"reset_noise_rad must lie in [0, 1), got {self.reset_noise_rad!r}")
+        if not isinstance(self.settle_steps, int) or not 0 <= self.settle_steps <= 10_000:
+            raise ValueError(
+                f"settle_steps must be a whole number from 0 to 10000, got {self.settle_steps!r}"
+            )
+
+
+class MimoRollover(MujocoEnv):
+    """The body lying on a floor; nothing is rewarded from outside."""
+
+    Parameters = RolloverParameters
+    view = View(lookat_m=(0, 0, 0.05), azimuth_deg=120, elevation_deg=-30, distance_m=1.3)
+
+    def build(self, parameters: RolloverParameters) -> Blueprint:
+        """The whole body with mitten hands on a floor."""
+        spec = infant(load("mitten"))
+        add_floor(spec)
+        add_face(spec)
+        place(spec, parameters.start)
+        if parameters.head_held:
+            hold_head(spec)
+        model = spec.compile()
+        joints = matching(names_of(model, "joint"), ["robot:*"], "joint")
+        return blueprint(
+            "MimoRollover",
+            model,
+            parameters,
+            joints=joints,
+            actuators=np.arange(model.nu),
+            task=lambda: Lying(model, joints, parameters),
+        )
+
+
+class Lying(Play):
+    """Episodes begin at rest on the floor, a little different each time."""
+
+    def __init__(self, model: mujoco.MjModel, joints: Indices, parameters: RolloverParameters) -> None:
+        super().__init__(model, joints)
+        self._noise = parameters.reset_noise_rad
+        self._settle_steps = parameters.settle_steps
+        data = mujoco.MjData(model)
+        mujoco.mj_step(model, data, round(SETTLE_SECS / model.opt.timestep))
+        self._settled = data.qpos.copy()
+
+    def begin(self, data: mujoco.MjData, rng: np.random.Generator, start: Start) -> None:
+        """At rest with a little noise; a random start is rolled over by chance, with limbs anywhere near."""
+        data.qpos[:] = self._settled
+        if start == "random":
+            if rng.integers(2):
+                turn_over(data.qpos)
+            middle = data.qpos[self._qpos]
+            reach = 0.3 * rng.uniform(-1, 1, len(middle)) * (self._high - self._low) / 2
+            data.qpos[self._qpos] = np.clip(middle + reach, self._low, self._high)
+        else:
+            data.qpos[self._qpos] += rng.uniform(-self._noise, self._noise, len(self._qpos))
+        mujoco.mj_step(self.model, data, self._settle_steps)
+
+
+def turn_over(qpos: NDArray[np.float64]) -> None:
+    """Turn a root pose, the first seven numbers, by half a turn about its long axis, and lift it a little."""
+    half_turn, turned = np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(4)
+    mujoco.mju_mulQuat(turned, qpos[3:7], half_turn)
+    qpos[3:7] = turned
+    qpos[2] += CLEARANCE_M

@@ -1,0 +1,60 @@
+"""Choosing joints, actuators, sensors, bodies and cameras of a model by patterns over their names."""
+
+import difflib
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+Indices = NDArray[np.intp]
+
+KINDS = {
+    "joint": mujoco.mjtObj.mjOBJ_JOINT,
+    "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
+    "sensor": mujoco.mjtObj.mjOBJ_SENSOR,
+    "body": mujoco.mjtObj.mjOBJ_BODY,
+    "camera": mujoco.mjtObj.mjOBJ_CAMERA,
+}
+_COUNTS = {"joint": "njnt", "actuator": "nu", "sensor": "nsensor", "body": "nbody", "camera": "ncam"}
+MAX_NAMED = 5
+
+
+class PatternError(ValueError):
+    """A pattern that matches nothing; the text is one sentence for a person."""
+
+
+def names_of(model: mujoco.MjModel, kind: str) -> list[str]:
+    """The names of all objects of a kind of `KINDS`, "" for one without a name."""
+    count = getattr(model, _COUNTS[kind])
+    return [mujoco.mj_id2name(model, KINDS[kind], index) or "" for index in range(count)]
+
+
+def matching(names: Sequence[str], patterns: Sequence[str], kind: str) -> Indices:
+    """The indices of the names that match any of the patterns, in the order of the names.
+
+    A pattern is a name with `*`, `?` and `[...]` as in shells; one that begins with `!` takes out what
+    it matches. Names that are empty match nothing. Raises `PatternError` for a pattern that matches
+    nothing, with the nearest names, and when nothing is left.
+    """
+    if isinstance(patterns, str) or not all(isinstance(pattern, str) for pattern in patterns):
+        raise PatternError(f"{kind}s are chosen by a list of patterns, got {patterns!r}")
+    chosen: set[int] = set()
+    for pattern in patterns:
+        wanted = pattern.removeprefix("!")
+        found = {index for index, name in enumerate(names) if name and fnmatchcase(name, wanted)}
+        if not found:
+            raise PatternError(f"no {kind} matches {wanted!r}; {_nearest(names, wanted, kind)}")
+        chosen = chosen - found if pattern.startswith("!") else chosen | found
+    if not chosen:
+        raise PatternError(f"the patterns {list(patterns)} leave no {kind} of the model's {len(names)}")
+    return np.array(sorted(chosen), dtype=np.intp)
+
+
+def _nearest(names: Sequence[str], wanted: str, kind: str) -> str:
+    known = [name for name in names if name]
+    if not known:
+        return f"the model has no {kind} with a name"
+    near = difflib.get_close_matches(wanted, known, n=MAX_NAMED, cutoff=0.4)
+    return f"the nearest are {', '.join(near)}" if near else f"there are {', '.join(known[:MAX_NAMED])}, ..."

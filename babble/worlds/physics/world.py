@@ -1,0 +1,177 @@
+"""Copies of one MuJoCo body, stepped together: the `World` of every simulated body."""
+
+import logging
+import math
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from babble.landmarks import Landmark
+from babble.worlds.batch import Flags, Floats, Start, Step
+from babble.worlds.physics.actuation import Actuation
+from babble.worlds.physics.task import Task
+from babble.worlds.senses.degradation import Degradation, Degraded
+from babble.worlds.senses.joints import centre_and_half_range
+from babble.worlds.senses.sense import Copies, Sense
+
+log = logging.getLogger(__name__)
+# By itself MuJoCo writes its warnings into a file where the process runs; what they tell is counted here.
+mujoco.set_mju_user_warning(lambda text: log.debug("MuJoCo: %s", text))
+
+Indices = NDArray[np.intp]
+UNSTABLE = 1e10
+"""MuJoCo's own bound (mjMAXVAL) of a position or velocity that means anything."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Blueprint:
+    """A body with its actuation, senses and task, of which worlds of any number of copies are made."""
+
+    id: str
+    model: mujoco.MjModel
+    joints: Indices
+    """the joints of the posture: hinges and slides"""
+    joint_names: tuple[str, ...]
+    task: Task
+    actuation: Callable[[int], Actuation]
+    """given the number of copies"""
+    senses: Callable[[Actuation], Sequence[Sense]]
+    physics_steps: int
+    """MuJoCo steps in one environment step"""
+    episode_steps: int = 0
+    """an episode is cut off after so many environment steps; 0 for never"""
+    degradations: Mapping[str, Degradation] = field(default_factory=dict)
+    """by the name of a sense"""
+    landmarks: tuple[Landmark, ...] = ()
+
+
+class MujocoWorld:
+    """`columns` copies (E) of a body; implements `World`.
+
+    An observation is of the moment after the step. As in MuJoCo, what is derived from positions
+    (sensors, contacts, what eyes see) is of the beginning of the step's last physics step.
+    """
+
+    crossing_axis = None
+
+    def __init__(self, blueprint: Blueprint, columns: int, rng: np.random.Generator) -> None:
+        if columns < 1:
+            raise ValueError(f"a world needs at least one column, got {columns}")
+        self.id = blueprint.id
+        self.blueprint = blueprint
+        self.columns = columns
+        self.rng = rng
+        self.landmarks = blueprint.landmarks
+        self.posture_names = blueprint.joint_names
+        self._model = blueprint.model
+        # A broken simulation is to be seen, not to be set back behind our back.
+        self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        self.copies: Copies = [mujoco.MjData(self._model) for _ in range(columns)]
+        self._actuation = blueprint.actuation(columns)
+        self._senses = list(blueprint.senses(self._actuation))
+        self.senses = {sense.name: sense.shape for sense in self._senses}
+        self.action_size = self._actuation.size
+        self.observation_size = sum(int(np.prod(shape)) for shape in self.senses.values())
+        self._degraded = _degraded(blueprint, self.senses, columns, rng)
+        self._qpos = self._model.jnt_qposadr[blueprint.joints]
+        self._centre, self._half = centre_and_half_range(self._model, blueprint.joints)
+        self._steps = np.zeros(columns, np.int64)
+        self._none = np.zeros(columns, np.bool_)
+
+    @property
+    def posture_size(self) -> int:
+        """The number of joints."""
+        return len(self._qpos)
+
+    @property
+    def diameter(self) -> float:
+        """From all joints at their lower to all at their upper limits: 2 * sqrt(joints)."""
+        return float(2 * np.sqrt(self.posture_size))
+
+    @property
+    def step_secs(self) -> float:
+        """The time that passes in one step of the world."""
+        return float(self._model.opt.timestep * self.blueprint.physics_steps)
+
+    def reset(self, start: Start = "centre") -> Floats:
+        """Begin a new episode in all copies, at the task's usual place or a random one."""
+        if start not in ("centre", "random"):
+            raise ValueError(f"start must be 'centre' or 'random', got {start!r}")
+        return self._begin(np.ones(self.columns, np.bool_), start)
+
+    def restart(self, columns: Flags) -> Floats:
+        """Begin a new episode in the flagged copies."""
+        return self._begin(columns, "centre")
+
+    def step(self, action: Floats) -> Step:
+        """Act for one environment step. Raises ValueError for a wrong shape or NaN."""
+        if action.shape != (self.columns, self.action_size) or not math.isfinite(action.sum()):
+            raise ValueError(
+                f"actions must be finite numbers of shape ({self.columns}, {self.action_size}), "
+                f"got shape {action.shape}"
+            )
+        clipped = np.minimum(action, 1.0, dtype=np.float64)
+        np.maximum(clipped, -1.0, out=clipped)
+        self._actuation.advance(self.copies, clipped, self.blueprint.physics_steps)
+        self._steps += 1
+        task, limit = self.blueprint.task, self.blueprint.episode_steps
+        terminated, reward = task.terminated(self.copies), task.reward(self.copies)
+        truncated = (self._steps >= limit) & ~terminated if limit else self._none.copy()
+        failed = self._broken()
+        # Numbers of a broken simulation need not fit the observation's type.
+        with np.errstate(all="ignore") if failed is not None else nullcontext():
+            observation = self._joined([self._passed(sense) for sense in self._senses])
+        if failed is not None:
+            observation[failed], reward[failed] = 0.0, 0.0
+        return Step(observation, terminated, truncated, reward, failed)
+
+    def posture(self) -> Floats:
+        """(E, joints): where each joint is in its range, from -1 to 1."""
+        position = np.array([data.qpos for data in self.copies])[:, self._qpos]
+        return np.clip((position - self._centre) / self._half, -1, 1).astype(np.float32)
+
+    def uniform_points(self, count: int, rng: np.random.Generator) -> Floats:
+        """Observations at random starts of the task."""
+        spare = MujocoWorld(self.blueprint, 1, rng)
+        return np.concatenate([spare.reset("random") for _ in range(count)])
+
+    def _begin(self, columns: Flags, start: Start) -> Floats:
+        for index in np.flatnonzero(columns).tolist():
+            data = self.copies[index]
+            mujoco.mj_resetData(self._model, data)
+            self.blueprint.task.begin(data, self.rng, start)
+            mujoco.mj_forward(self._model, data)
+        self._actuation.begin(columns)
+        self._steps[columns] = 0
+        values = []
+        for sense in self._senses:
+            value, degraded = sense.read(self.copies), self._degraded.get(sense.name)
+            values.append(value if degraded is None else degraded.begin(value, columns))
+        return self._joined(values)
+
+    def _joined(self, values: Sequence[Floats]) -> Floats:
+        return np.concatenate([value.reshape(self.columns, -1) for value in values], axis=1)
+
+    def _passed(self, sense: Sense) -> Floats:
+        value, degraded = sense.read(self.copies), self._degraded.get(sense.name)
+        return value if degraded is None else degraded.next(value)
+
+    def _broken(self) -> Flags | None:
+        """(E,) whose velocities are not finite or out of bounds; None if all are well."""
+        squares = [data.qvel.dot(data.qvel) for data in self.copies]
+        if all(square < UNSTABLE**2 for square in squares):
+            return None
+        return np.array([not square < UNSTABLE**2 for square in squares])
+
+
+def _degraded(
+    blueprint: Blueprint, senses: Mapping[str, tuple[int, ...]], columns: int, rng: np.random.Generator
+) -> dict[str, Degraded]:
+    for name in blueprint.degradations:
+        if name not in senses:
+            raise ValueError(f"degradation: the body has no sense {name!r}; it has {', '.join(senses)}")
+    return {name: Degraded(how, senses[name], columns, rng) for name, how in blueprint.degradations.items()}

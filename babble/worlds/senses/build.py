@@ -1,0 +1,97 @@
+"""The senses of a body, chosen by name."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from babble.worlds.physics.actuation import Actuation, Indices
+from babble.worlds.physics.patterns import matching, names_of
+from babble.worlds.senses.joints import Actuated, Limits, Position, Sensors, Unit, Velocity
+from babble.worlds.senses.sense import Sense
+from babble.worlds.senses.touch import Touch
+from babble.worlds.senses.vision import Vision
+
+SENSES = (
+    "position",
+    "velocity",
+    "limits",
+    "torque",
+    "actuation",
+    "vestibular",
+    "sensors",
+    "touch",
+    "vision",
+)
+_OF_TYPE = {
+    "torque": ("torque sensor", (mujoco.mjtSensor.mjSENS_TORQUE,)),
+    "vestibular": (
+        "accelerometer and gyroscope",
+        (mujoco.mjtSensor.mjSENS_ACCELEROMETER, mujoco.mjtSensor.mjSENS_GYRO),
+    ),
+}
+
+
+def make_senses(
+    model: mujoco.MjModel,
+    names: Sequence[str],
+    *,
+    joints: Indices,
+    actuation: Actuation,
+    angles: Unit = "range",
+    sensors: Sequence[str] = (),
+    touch: Mapping[str, Any] | None = None,
+    vision: Mapping[str, Any] | None = None,
+) -> list[Sense]:
+    """The named senses, in the given order.
+
+    `joints` are those felt by position, velocity and limits; `sensors` are patterns for the sense of
+    that name; `touch` and `vision` are options of `Touch` and `Vision`. Raises ValueError, in one
+    sentence, for an unknown name or option and for a sense that the model lacks.
+    """
+    check_names(names)
+    made: list[Sense] = []
+    for name in names:
+        match name:
+            case "position":
+                made.append(Position(model, joints, angles))
+            case "velocity":
+                made.append(Velocity(model, joints))
+            case "limits":
+                made.append(Limits(model, joints))
+            case "actuation":
+                made.append(Actuated(actuation))
+            case "sensors":
+                made.append(Sensors(model, matching(names_of(model, "sensor"), sensors, "sensor")))
+            case "touch":
+                made.append(_with_options(Touch, model, "touch", touch))
+            case "vision":
+                made.append(_with_options(Vision, model, "vision", vision))
+            case _:
+                made.append(_of_type(model, name))
+    return made
+
+
+def check_names(names: Sequence[str]) -> None:
+    """Raises ValueError unless `names` is a list of distinct names of `SENSES`."""
+    if isinstance(names, str) or not names or len(set(names)) != len(names):
+        raise ValueError(f"senses must be a list of distinct names out of {', '.join(SENSES)}; got {names!r}")
+    if unknown := [name for name in names if name not in SENSES]:
+        raise ValueError(f"there is no sense {unknown[0]!r}; the senses are {', '.join(SENSES)}")
+
+
+def _of_type(model: mujoco.MjModel, name: str) -> Sense:
+    what, kinds = _OF_TYPE[name]
+    found = np.flatnonzero(np.isin(model.sensor_type, [int(kind) for kind in kinds]))
+    if not found.size:
+        raise ValueError(f"the model has no {what}, which the sense {name!r} reads; leave it out of senses")
+    return Sensors(model, found, name)
+
+
+def _with_options(kind: Any, model: mujoco.MjModel, name: str, options: Mapping[str, Any] | None) -> Sense:
+    try:
+        sense: Sense = kind(model, **(options or {}))
+    except TypeError as error:
+        raise ValueError(f"{name}: {str(error).partition(') ')[2] or error}") from None
+    return sense
