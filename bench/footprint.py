@@ -3,27 +3,39 @@
 import statistics
 import tempfile
 import time
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from bench.actor_process import fed_actor
 from bench.bytecode import first_start
 from bench.imports import imports_table
 from bench.processes import router, service, wait_for_line
-from bench.scene import cuboid, write_run_folder
+from bench.scene import cuboid, in_world, write_run_folder
 from bench.tables import Table, secs
+from services.runtime.settings import RunSettings
 
 SETTLE_SECS = 1.0
+BODIES: Mapping[str, tuple[str, dict[str, Any], int]] = {
+    "MIMo's hand": ("MimoHand", {}, 8),
+    "MIMo's whole body": ("MimoRollover", {}, 8),
+    "whole body, vestibular, touch at full resolution": (
+        "MimoRollover",
+        {"senses": ["position", "velocity", "vestibular", "touch"]},
+        4,
+    ),
+}
+"""By name: the actor's world, its parameters and copies."""
 
 
 def measure(*, repetitions: int = 7, segments: int = 200) -> list[Table]:
     """The tables; the actor's memory is its peak over so many segments."""
-    compiled = _actor_row("actor", [_first_step_secs() for _ in range(repetitions)], segments)
-    firsts = []
-    for _ in range(repetitions):
-        with first_start():
-            firsts.append(_first_step_secs())
+    rows = [_actor_row("actor", cuboid(), repetitions, segments)]
     with first_start():
-        rows = [compiled, _actor_row("actor, first start after an installation", firsts, segments)]
+        rows.append(_actor_row("actor, first start after an installation", cuboid(), repetitions, segments))
+    for name, (id, parameters, columns) in BODIES.items():
+        settings = in_world(id, parameters, actors={"envs_per_actor": columns})
+        rows.append(_actor_row(f"actor, {name}, {columns} copies", settings, repetitions, segments // 20))
     rows += _other_rows()
     return [
         Table(
@@ -34,7 +46,7 @@ def measure(*, repetitions: int = 7, segments: int = 200) -> list[Table]:
                 "MB = 10^6 bytes of resident memory (VmHWM); seconds from exec",
                 f"first step: median of {repetitions}; in GROUND, with both models, "
                 "until the learner has the first segment, here of 2 steps x 8 worlds",
-                f"actor: peak over {segments} segments as shipped; "
+                f"actor: peak over {segments} segments, a twentieth of that with a simulated body; "
                 "router and coordinator: peak when ready and idle",
             ],
         ),
@@ -42,17 +54,18 @@ def measure(*, repetitions: int = 7, segments: int = 200) -> list[Table]:
     ]
 
 
-def _first_step_secs() -> float:
+def _first_step_secs(settings: RunSettings) -> float:
     """From exec to the first segment at the learner; a segment of two steps, the shortest there is."""
-    with fed_actor(cuboid(actors={"segment_steps": 2, "count": 1})) as fed:
+    actors = settings.actors.model_copy(update={"segment_steps": 2, "count": 1})
+    with fed_actor(settings.model_copy(update={"actors": actors})) as fed:
         fed.until(lambda: fed.stand_in.first_segment_secs is not None)
         assert fed.stand_in.first_segment_secs is not None
         return fed.stand_in.first_segment_secs - fed.child.started_secs
 
 
-def _actor_row(name: str, first: list[float], segments: int) -> list[str]:
-    settings = cuboid()
-    steps = segments * settings.actors.segment_steps * settings.actors.envs_per_actor
+def _actor_row(name: str, settings: RunSettings, repetitions: int, segments: int) -> list[str]:
+    first = [_first_step_secs(settings) for _ in range(repetitions)]
+    steps = max(1, segments) * settings.actors.segment_steps * settings.actors.envs_per_actor
     with fed_actor(settings) as fed:
         wait_for_line(fed.child, "ready in run")
         ready_secs = time.monotonic() - fed.child.started_secs

@@ -1,4 +1,4 @@
-"""What is benchmarked: the cuboid scenario as shipped, with models as the learners publish them."""
+"""What is benchmarked: the cuboid as shipped or another world, with models as learners publish them."""
 
 import json
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from babble.policy.ppo import GoalPPO
 from babble.worlds import make
 from babble.worlds.batch import World
 from services.runtime.models import ModelOffer
-from services.runtime.settings import RunSettings, load
+from services.runtime.settings import RunSettings, load, parse
 
 ROOT = Path(__file__).resolve().parents[1]
 RUN = "bench"
@@ -23,6 +23,11 @@ RUN = "bench"
 def cuboid(**sections: dict[str, Any]) -> RunSettings:
     """The shipped scenario; each keyword replaces a section of it."""
     return load(ROOT / "scenarios" / "cuboid.toml", **sections)
+
+
+def in_world(id: str, parameters: dict[str, Any], **sections: dict[str, Any]) -> RunSettings:
+    """The defaults of all settings, in a world."""
+    return parse({"scenario": RUN, "world": {"id": id, "parameters": parameters}, **sections}, origin="bench")
 
 
 def write_run_folder(folder: Path, settings: RunSettings) -> None:

@@ -174,7 +174,7 @@ def blueprint(
         hand_over(model, actuators)
     kind = Muscles if muscular else Motors
 
-    def senses(actuation: Actuation) -> Any:
+    def senses(actuation: Actuation, rng: np.random.Generator) -> Any:
         return make_senses(
             model,
             parameters.senses,
@@ -184,6 +184,7 @@ def blueprint(
             sensors=sensors,
             touch=parameters.touch,
             vision=parameters.vision,
+            rng=rng,
         )
 
     names = names_of(model, "joint")

@@ -39,7 +39,8 @@ class Blueprint:
     task: Task
     actuation: Callable[[int], Actuation]
     """given the number of copies"""
-    senses: Callable[[Actuation], Sequence[Sense]]
+    senses: Callable[[Actuation, np.random.Generator], Sequence[Sense]]
+    """given the actuation and the world's random numbers"""
     physics_steps: int
     """MuJoCo steps in one environment step"""
     episode_steps: int = 0
@@ -72,7 +73,7 @@ class MujocoWorld:
         self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.copies: Copies = [mujoco.MjData(self._model) for _ in range(columns)]
         self._actuation = blueprint.actuation(columns)
-        self._senses = list(blueprint.senses(self._actuation))
+        self._senses = list(blueprint.senses(self._actuation, rng))
         self.senses = {sense.name: sense.shape for sense in self._senses}
         self.action_size = self._actuation.size
         self.observation_size = sum(int(np.prod(shape)) for shape in self.senses.values())

@@ -43,12 +43,14 @@ def make_senses(
     sensors: Sequence[str] = (),
     touch: Mapping[str, Any] | None = None,
     vision: Mapping[str, Any] | None = None,
+    rng: np.random.Generator | None = None,
 ) -> list[Sense]:
     """The named senses, in the given order.
 
     `joints` are those felt by position, velocity and limits; `sensors` are patterns for the sense of
-    that name; `touch` and `vision` are options of `Touch` and `Vision`. Raises ValueError, in one
-    sentence, for an unknown name or option and for a sense that the model lacks.
+    that name; `touch` and `vision` are options of `Touch` and `Vision`, `rng` is for the noise of
+    eyes. Raises ValueError, in one sentence, for an unknown name or option and for a sense that the
+    model lacks.
     """
     check_names(names)
     made: list[Sense] = []
@@ -67,7 +69,7 @@ def make_senses(
             case "touch":
                 made.append(_with_options(Touch, model, "touch", touch))
             case "vision":
-                made.append(_with_options(Vision, model, "vision", vision))
+                made.append(_with_options(Vision, model, "vision", {**(vision or {}), "rng": rng}))
             case _:
                 made.append(_of_type(model, name))
     return made
