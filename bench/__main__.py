@@ -1,4 +1,4 @@
-"""`python -m bench [actor] [end_to_end] [footprint] [--markdown] [--quick]`."""
+"""`python -m bench [WHAT...] [--markdown] [--quick] [--mimo CHECKOUT]`."""
 
 import argparse
 import os
@@ -6,29 +6,43 @@ import platform
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from importlib.metadata import version
+from pathlib import Path
 
 os.environ["OMP_NUM_THREADS"] = "1"
 
-from bench import actor, end_to_end, footprint
+from bench import actor, end_to_end, footprint, physics, touch, vision
 from bench.bytecode import compiled
 from bench.tables import Table
 
-BENCHMARKS: Mapping[str, tuple[Callable[[], list[Table]], Callable[[], list[Table]]]] = {
+Measure = Callable[[Path | None], list[Table]]
+BENCHMARKS: Mapping[str, tuple[Measure, Measure]] = {
     "actor": (
-        actor.measure,
-        lambda: actor.measure(steps=4096, repetitions=2, process_secs=2.0),
+        lambda _: actor.measure(),
+        lambda _: actor.measure(steps=4096, repetitions=2, process_secs=2.0),
     ),
     "end_to_end": (
-        end_to_end.measure,
-        lambda: end_to_end.measure(repetitions=1, iterations=0, rivals=list(end_to_end.RIVALS)[:1]),
+        lambda _: end_to_end.measure(),
+        lambda _: end_to_end.measure(repetitions=1, iterations=0, rivals=list(end_to_end.RIVALS)[:1]),
     ),
     "footprint": (
-        footprint.measure,
-        lambda: footprint.measure(repetitions=1, segments=10),
+        lambda _: footprint.measure(),
+        lambda _: footprint.measure(repetitions=1, segments=10),
+    ),
+    "physics": (
+        lambda _: physics.measure(),
+        lambda _: physics.measure(steps=20, repetitions=1),
+    ),
+    "touch": (
+        touch.measure,
+        lambda mimo: touch.measure(mimo, steps=80, repetitions=1, collapsed=False),
+    ),
+    "vision": (
+        lambda _: vision.measure(),
+        lambda _: vision.measure(steps=2, repetitions=1, resolutions=(32,)),
     ),
 }
-"""Each as it is, and quickly, to see that it works."""
-PACKAGES = ("torch", "stable_baselines3", "onnxruntime", "numpy", "gymnasium", "eclipse-zenoh")
+"""Each as it is, and quickly, to see that it works; given a checkout of MIMo, or None."""
+PACKAGES = ("torch", "stable_baselines3", "onnxruntime", "numpy", "gymnasium", "mujoco", "eclipse-zenoh")
 
 
 def main() -> None:
@@ -39,13 +53,16 @@ def main() -> None:
     )
     parser.add_argument("--markdown", action="store_true", help="print tables for docs/benchmarks.md")
     parser.add_argument("--quick", action="store_true", help="see that it works; the numbers mean nothing")
+    parser.add_argument(
+        "--mimo", type=Path, metavar="CHECKOUT", help="of MIMo's own package with its .venv, for touch"
+    )
     given = parser.parse_args()
     if unknown := [name for name in given.what if name not in BENCHMARKS]:
         parser.error(f"there is no benchmark {unknown[0]!r}; choose from {', '.join(BENCHMARKS)}")
     print(_here(), end="\n\n", flush=True)
     with compiled():
         for name in given.what or BENCHMARKS:
-            for table in BENCHMARKS[name][given.quick]():
+            for table in BENCHMARKS[name][given.quick](given.mimo):
                 print(table.markdown() if given.markdown else table.plain(), flush=True)
 
 

@@ -54,7 +54,7 @@ class MimoFinger(MujocoEnv):
     """One finger; action = torques of its flexion joints, observation = their angles by default."""
 
     Parameters = FingerParameters
-    view = View(lookat_m=(0, 0, 0.05), azimuth_deg=150, elevation_deg=-20, distance_m=0.24)
+    view = View(lookat_m=(-0.008, -0.014, 0.032), azimuth_deg=150, elevation_deg=-20, distance_m=0.24)
 
     def build(self, parameters: FingerParameters) -> Blueprint:
         """The finger cut out of the body."""

@@ -45,7 +45,7 @@ class MimoHand(MujocoEnv):
     """A hand; action = torques of 14 flexion joints, observation = their angles by default."""
 
     Parameters = HandParameters
-    view = View(lookat_m=(0, 0, 0.05), azimuth_deg=150, elevation_deg=-20, distance_m=0.26)
+    view = View(lookat_m=(-0.01, -0.018, 0.03), azimuth_deg=150, elevation_deg=-20, distance_m=0.24)
 
     def build(self, parameters: HandParameters) -> Blueprint:
         """The hand cut out of the body."""

@@ -66,14 +66,14 @@ class Limits:
 
     def __init__(self, model: mujoco.MjModel, joints: Indices) -> None:
         self.shape = (len(joints),)
-        self._qpos = model.jnt_qposadr[joints]
+        self._qpos = compact(model.jnt_qposadr[joints])
         low, high = model.jnt_range[joints].T
         limited = model.jnt_limited[joints].astype(bool)
         self._low, self._high = np.where(limited, low, -np.inf), np.where(limited, high, np.inf)
 
     def read(self, copies: Copies) -> Floats:
         """(E, joints)"""
-        position = np.array([data.qpos for data in copies])[:, self._qpos]
+        position = np.array([data.qpos[self._qpos] for data in copies])
         room = np.minimum(position - self._low, self._high - position)
         return np.maximum(1 - room / LIMIT_MARGIN_RAD, 0).astype(np.float32)
 
@@ -100,14 +100,18 @@ class Sensors:
     ) -> None:
         self.name = name
         starts, sizes = model.sensor_adr[sensors], model.sensor_dim[sensors]
-        self._values = np.concatenate(
+        values = np.concatenate(
             [np.arange(start, start + size) for start, size in zip(starts, sizes, strict=True)]
         )
-        self.shape = (len(self._values),)
+        self.shape = (len(values),)
+        self._values = compact(values)
 
     def read(self, copies: Copies) -> Floats:
         """(E, values), in the units of MuJoCo's sensors"""
-        return np.array([data.sensordata for data in copies])[:, self._values].astype(np.float32)
+        sensed = np.empty((len(copies), *self.shape), np.float32)
+        for row, data in zip(sensed, copies, strict=True):
+            row[:] = data.sensordata[self._values]
+        return sensed
 
 
 def compact(indices: Indices) -> Indices | slice:
