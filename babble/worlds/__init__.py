@@ -115,5 +115,5 @@ def make(id: str, parameters: Mapping[str, Any], columns: int, seed: int | Seque
         )
     try:
         return entry.maker(**parameters).world(columns, np.random.default_rng(seed))
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, OverflowError) as error:
         raise WorldError(f"{id}: {error}") from None

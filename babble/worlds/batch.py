@@ -77,6 +77,16 @@ class World(Protocol):
         ...
 
     @property
+    def posture_names(self) -> tuple[str, ...]:
+        """The names of the posture's components, such as joints; empty where they have none."""
+        ...
+
+    @property
+    def rewarded(self) -> bool:
+        """Whether there is a task with an external reward; without one it is always 0."""
+        ...
+
+    @property
     def landmarks(self) -> tuple[Landmark, ...]:
         """The postures that have a name; scores say how often each is reached. Empty where there are none."""
         ...
@@ -97,10 +107,6 @@ class World(Protocol):
         """(E, p) where the copies are; its distances define separation."""
         ...
 
-    def uniform_points(self, count: int, rng: np.random.Generator) -> Floats:
-        """(count, n) observations spread uniformly over the body, for maps of the latent."""
-        ...
-
 
 class PointWorld:
     """Points inside a body, each moved by a bounded velocity; implements `World`."""
@@ -108,6 +114,8 @@ class PointWorld:
     observation_size = 3
     senses: Mapping[str, tuple[int, ...]] = MappingProxyType({"position": (3,)})
     landmarks: tuple[Landmark, ...] = ()
+    posture_names: tuple[str, ...] = ()
+    rewarded = False
     action_size = 3
     posture_size = 3
 

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from babble.worlds.batch import Start
+from babble.worlds.checks import check_texts, shown
 from babble.worlds.physics.actuation import Indices
 from babble.worlds.physics.env import BodyParameters, MujocoEnv, blueprint
 from babble.worlds.physics.patterns import matching, names_of
@@ -26,11 +27,23 @@ class MjcfParameters(BodyParameters):
     joints: Sequence[str] = ("*",)
     """patterns of the joints of posture and proprioception; hinges and slides only"""
     actuators: Sequence[str] = ("*",)
-    """patterns of the actuators that are driven; the others stay at 0"""
+    """patterns of the actuators that are driven; the others stay at 0, or at the keyframe's control"""
     sensors: Sequence[str] = ()
     """patterns of the model's sensors, for the sense "sensors" """
     keyframe: str = ""
     """the model's keyframe at which episodes begin; "" for its own pose"""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("joints", "actuators", "sensors"):
+            check_texts(name, getattr(self, name))
+        for name in ("file", "keyframe"):
+            if not isinstance(getattr(self, name), str):
+                raise ValueError(f"{name} must be a text, got {shown(getattr(self, name))}")
+        if self.sensors and "sensors" not in self.senses:
+            raise ValueError('sensors are chosen, but senses lacks "sensors"; add it')
+        if "sensors" in self.senses and not self.sensors:
+            raise ValueError('senses has "sensors", but none is chosen; give sensors, a list of patterns')
 
 
 class Mjcf(MujocoEnv):
@@ -58,11 +71,15 @@ def load(file: str) -> mujoco.MjModel:
     """The compiled model of a file. Raises ValueError with one sentence that names the file."""
     if not file:
         raise ValueError("file is missing: name the MuJoCo model (MJCF, URDF or MJB) to load")
-    path = Path(file).expanduser().absolute()
-    if not path.is_file():
+    try:
+        path = Path(file).expanduser().absolute()
+        there = path.is_file()
+    except (OSError, RuntimeError) as error:
+        raise ValueError(f"file {shown(file)} cannot be looked for: {error}") from None
+    if not there:
         raise ValueError(f"there is no model file {path}")
     try:
-        if path.suffix == ".mjb":
+        if path.suffix.lower() == ".mjb":
             return mujoco.MjModel.from_binary_path(str(path))
         return mujoco.MjModel.from_xml_path(str(path))
     except (ValueError, RuntimeError) as error:

@@ -22,9 +22,9 @@ REST, FULL = -1.0, 1.0
 def stepped(action: list[float], steps: int, gravity: bool = False) -> mujoco.MjData:
     """The arm after so many physics steps under [closing both, opening both] excitations."""
     model = arm()
-    hand_over(model, BOTH)
+    hand_over(model, BOTH, BOTH)
     model.opt.gravity[:] = [0, 0, -9.81 if gravity else 0]
-    muscles = Muscles(model, BOTH, 1)
+    muscles = Muscles(model, BOTH, model.jnt_range.copy(), 1)
     data = mujoco.MjData(model)
     data.qpos[:] = np.radians([-15, -60])
     muscles.begin(np.array([True]))
@@ -41,8 +41,8 @@ def test_the_first_muscles_turn_backwards_and_their_antagonists_forwards() -> No
 
 def test_activity_builds_up_with_its_time_constant() -> None:
     model = arm()
-    hand_over(model, BOTH)
-    muscles = Muscles(model, BOTH, 2)
+    hand_over(model, BOTH, BOTH)
+    muscles = Muscles(model, BOTH, model.jnt_range.copy(), 2)
     copies = [mujoco.MjData(model) for _ in range(2)]
     muscles.begin(np.array([True, True]))
     muscles.advance(copies, np.array([[FULL] * 4, [REST] * 4]), 3)
@@ -82,4 +82,22 @@ def test_the_curves_have_no_jumps(curve, places) -> None:  # type: ignore[no-unt
 def test_a_model_without_the_muscles_figures_is_refused() -> None:
     model = mujoco.MjModel.from_xml_string(ARM.replace('user="1.5 4 8"', ""))
     with pytest.raises(MuscleError, match="muscles need VMAX, FMAX- and FMAX\\+ of each motor"):
-        hand_over(model, BOTH)
+        hand_over(model, BOTH, BOTH)
+
+
+def test_an_actuator_that_is_no_motor_of_a_limited_hinge_is_refused() -> None:
+    for wrong in (
+        ('<motor name="lift"', '<position name="lift"'),
+        ('limited="true" damping', 'limited="false" damping'),
+    ):
+        model = mujoco.MjModel.from_xml_string(ARM.replace(*wrong))
+        with pytest.raises(
+            MuscleError, match="muscles need motors of hinges with limits, and 'lift' drives none"
+        ):
+            hand_over(model, BOTH, BOTH)
+
+
+def test_joints_that_are_not_the_bodys_keep_their_dampers() -> None:
+    model = arm()
+    hand_over(model, BOTH, BOTH[:1])
+    assert_allclose(model.dof_damping, [0.2 / 20, 0.1])

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from babble.worlds.physics.env import BodyParameters, blueprint
 from babble.worlds.physics.task import Play
 from babble.worlds.physics.world import MujocoWorld
-from tests.unit.small_body import arm
+from tests.unit.small_body import ARM, arm
 
 BOTH = np.arange(2)
 
@@ -138,24 +138,118 @@ def test_balanced_motors_are_as_strong_in_either_direction() -> None:
     assert_allclose(torques[True], [1, -1])
 
 
+def test_a_restricted_joint_begins_within_what_is_left_of_its_range() -> None:
+    model = arm()
+    model.qpos0[:] = np.radians([0, -5])
+    model.qpos_spring[:] = np.radians([0, -90])
+    world = world_of(columns=1, model=model, mobility={"elbow": 0.2}, senses=["position", "velocity"])
+    world.reset()
+    assert world.copies[0].qpos[1] == pytest.approx(np.radians(-90 + 0.2 * 90))
+    assert np.abs(world.step(np.zeros((1, 2), np.float32)).observation[0, 2:]).max() < 2
+
+
+def test_restricted_joints_do_not_make_muscles_stronger() -> None:
+    torques = []
+    for mobility in ({}, {"elbow": 0.5}):
+        world = world_of(columns=1, actuation="muscles", mobility=mobility)
+        world.reset()
+        world.copies[0].qpos[:] = np.radians([-15, -60])
+        world.step(np.array([[-1, 1, -1, -1]], np.float32))
+        torques.append(world.copies[0].ctrl[1])
+    assert torques[0] == pytest.approx(torques[1], rel=0.05)
+
+
+def test_a_weak_servo_aims_at_the_same_place() -> None:
+    servo = ARM.replace(
+        '<motor name="bend" joint="elbow" gear="1"', '<position name="bend" joint="elbow" kp="5"'
+    )
+    ends = []
+    for strength in ({}, {"bend": 0.5}):
+        model = mujoco.MjModel.from_xml_string(servo)
+        model.opt.gravity[:] = 0
+        world = world_of(columns=1, model=model, strength=strength, angles="radians")
+        world.reset()
+        for _ in range(400):
+            world.step(np.array([[0, -0.9]], np.float32))
+        ends.append(world.posture()[0, 1])
+    assert ends[0] == pytest.approx(ends[1], abs=0.1)
+    with pytest.raises(ValueError, match="balanced needs motors, and actuator 'bend' is none"):
+        world_of(columns=1, model=mujoco.MjModel.from_xml_string(servo), balanced=True)
+
+
+def test_copies_that_go_on_see_what_they_saw_when_others_begin() -> None:
+    world = world_of(columns=2, degradation={"position": {"noise_std": 0.5}})
+    world.reset()
+    seen = world.step(np.ones((2, 2), np.float32)).observation
+    after = world.restart(np.array([True, False]))
+    assert_array_equal(after[1], seen[1])
+    assert not np.array_equal(after[0], seen[0])
+
+
 @pytest.mark.parametrize(
     ("parameters", "sentence"),
     [
         ({"senses": ["taste"]}, "there is no sense 'taste'; the senses are position"),
         ({"senses": ["torque"]}, "the model has no torque sensor, which the sense 'torque' reads"),
-        ({"senses": "position"}, "senses must be a list of distinct names"),
+        ({"senses": "position"}, "senses must be a list of texts, got 'position'"),
         ({"mobility": {"knee": 0.5}}, "no joint matches 'knee'; there are shoulder, elbow"),
-        ({"mobility": {"elbow": 0}}, r"mobility of 'elbow' must be a share in \(0, 1\], got 0"),
-        ({"strength": {"lift": 2}}, "strength of 'lift' must be a share"),
-        ({"actuation": "magic"}, 'actuation is "motors" or "muscles"'),
-        ({"physics_steps": 0}, "physics_steps must be a whole number of at least 1"),
-        ({"angles": "degrees"}, 'the unit of positions is "range" or "radians"'),
+        ({"mobility": {"elbow": 0}}, "mobility of 'elbow' must be a number from 0.01 to 1, got 0"),
+        ({"strength": {"lift": 2}}, "strength of 'lift' must be a number from 0.01 to 1, got 2"),
+        ({"actuation": "magic"}, "actuation must be one of motors, muscles; got 'magic'"),
+        ({"physics_steps": 0}, "physics_steps must be a whole number from 1 to 1000, got 0"),
+        ({"angles": "degrees"}, "angles must be one of range, radians; got 'degrees'"),
         ({"degradation": {"touch": {"gain": 0.5}}}, "the body has no sense 'touch'; it has position"),
-        ({"degradation": {"position": {"blur": 1}}}, "degradation of position: there is no 'blur'"),
+        (
+            {"degradation": {"position": {"blur": 1}}},
+            "degradation of position has no option 'blur'; there are threshold",
+        ),
         ({"touch": 3}, "touch must be a table, got 3"),
+        ({"touch": {"bodies": ["*"]}}, 'touch has options, but senses lacks "touch"; add it'),
+        (
+            {"senses": ["touch"], "touch": {"resolutoin": 1}},
+            "touch has no option 'resolutoin'; there are bodies",
+        ),
+        ({"senses": ["vision"], "vision": {"rng": 3}}, "vision has no option 'rng'"),
+        ({"senses": ["vision"], "vision": {"cameras": 3}}, "cameras are chosen by a list of patterns, got 3"),
+        ({"senses": [["position"]]}, "senses must be a list of texts"),
+        ({"degradation": {"position": 3}}, "degradation of position must be a table, got 3"),
+        (
+            {"degradation": {"position": {"gain": 10**400}}},
+            "degradation: gain must be .*an integer of 401 digits",
+        ),
+        ({"physics_steps": 10**30}, "physics_steps must be a whole number from 1 to 1000"),
+        ({"balanced": "false"}, "balanced must be true or false, got 'false'"),
+        ({"balanced": True, "actuation": "muscles"}, "balanced is for motors"),
     ],
 )
 def test_wrong_parameters_get_one_sentence(parameters: dict[str, Any], sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence) as caught:
         world_of(**parameters)
     assert "\n" not in str(caught.value)
+
+
+def test_limits_are_felt_from_two_degrees_before_them_on() -> None:
+    world = world_of(columns=4, senses=["limits"])
+    world.reset()
+    for data, elbow_deg in zip(world.copies, (-60, -3, -1, 1), strict=True):
+        data.qpos[:] = np.radians([0, elbow_deg])
+    felt = world._senses[0].read(world.copies)[:, 1]
+    assert_allclose(felt, [0, 0, 1 - np.radians(1) / 0.035, 1 + np.radians(1) / 0.035], atol=1e-6)
+
+
+def test_the_reward_of_a_broken_copy_is_nothing() -> None:
+    class Paid(Play):
+        rewarded = True
+
+        def reward(self, copies):  # type: ignore[no-untyped-def]
+            return np.full(len(copies), 7, np.float32)
+
+    model = arm()
+    plan = blueprint(
+        "Arm", model, BodyParameters(), joints=BOTH, actuators=BOTH, task=lambda: Paid(model, BOTH)
+    )
+    world = MujocoWorld(plan, 2, np.random.default_rng(0))
+    world.reset()
+    world.copies[0].qvel[:] = np.inf
+    assert world.step(np.zeros((2, 2), np.float32)).external_reward.tolist() == [0, 7]
+    assert world.rewarded

@@ -1,6 +1,7 @@
 """Each simulated world has a page that shows it and names its parameters."""
 
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,14 @@ def test_a_page_names_the_parameters_that_are_the_worlds_own(id: str) -> None:
     }
     named = {part for row in re.findall(r"^\| (`.+?) \|", text, re.M) for part in re.findall(r"`(\w+)`", row)}
     assert own <= named
+
+
+@pytest.mark.parametrize("id", SIMULATED)
+def test_the_defaults_that_a_page_states_are_the_worlds(id: str) -> None:
+    rows = re.findall(r"^\| `(\w+)` \| `?([^|`]+)`? \|", page_of(id).read_text(), re.M)
+    stated = {name: tomllib.loads(f"value = {value.strip()}")["value"] for name, value in rows}
+    defaults = {name: list(v) if isinstance(v, tuple) else v for name, v in WORLDS[id].defaults.items()}
+    assert stated == {name: defaults[name] for name in stated}
 
 
 @pytest.mark.parametrize("page", sorted(PAGES.glob("*.md")), ids=lambda page: page.stem)

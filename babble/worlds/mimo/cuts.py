@@ -5,8 +5,6 @@ A cut is made from figures, so it keeps those of what it keeps and never holds t
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from difflib import get_close_matches
-from fnmatch import fnmatchcase
 from typing import Literal
 
 import mujoco
@@ -14,6 +12,7 @@ import mujoco
 from babble.worlds.mimo.anatomy import BodyFigures, Figures
 from babble.worlds.mimo.body import ROOT, infant, turn
 from babble.worlds.mimo.tables import Vector
+from babble.worlds.physics.patterns import matching, nearest
 
 __all__ = ["FINGERS", "arm", "cut", "finger", "hand", "part"]
 
@@ -105,7 +104,7 @@ def part(figures: Figures, *, root: str, joints: Sequence[str] | None, contacts:
 def _named(figures: Figures, name: str) -> BodyFigures:
     bodies = {body.name: body for body in figures.bodies}
     if name not in bodies:
-        raise ValueError(f"the infant has no body {name!r} to cut out; {_nearest(name, bodies)}")
+        raise ValueError(f"the infant has no body {name!r} to cut out; {nearest(bodies, name, 'body')}")
     return bodies[name]
 
 
@@ -125,14 +124,7 @@ def _joints(bodies: Iterable[BodyFigures]) -> list[str]:
 def _matching(joints: list[str], patterns: Sequence[str] | None, root: str) -> set[str]:
     if patterns is None:
         return set(joints)
-    for pattern in patterns:
-        if not any(fnmatchcase(joint, pattern) for joint in joints):
-            raise ValueError(f"no joint of {root} matches {pattern!r}; {_nearest(pattern, joints)}")
-    return {joint for joint in joints if any(fnmatchcase(joint, pattern) for pattern in patterns)}
-
-
-def _nearest(name: str, known: Iterable[str]) -> str:
-    return f"the nearest are {', '.join(get_close_matches(name, list(known), cutoff=0.0))}"
+    return {joints[index] for index in matching(joints, patterns, f"joint of {root}")}
 
 
 def _trimmed(body: BodyFigures, joints: set[str], contacts: bool) -> BodyFigures:

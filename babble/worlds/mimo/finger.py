@@ -4,13 +4,13 @@ MIMo's finger joints move independently; the thesis calls a finger's joints coup
 spring between neighbouring joints couples them softly; `coupling = 0` leaves MIMo as it is.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from babble.landmarks import Landmark
+from babble.worlds.checks import check_choice, check_number
 from babble.worlds.mimo.coupling import couple
 from babble.worlds.mimo.cuts import cut
 from babble.worlds.mimo.figures import load
@@ -31,6 +31,10 @@ NEAR_LIMIT = 0.8
 """A joint is at a limit within 10 % of its range, which goes from -1 to 1."""
 
 
+MOST_STIFFNESS = 100.0
+"""N m; far more than any finger's motor can pull"""
+
+
 @dataclass(frozen=True, kw_only=True)
 class FingerParameters(BodyParameters):
     """Parameters of `MimoFinger`."""
@@ -47,7 +51,7 @@ class FingerParameters(BodyParameters):
         super().__post_init__()
         check_choice("finger", self.finger, FINGERS)
         check_choice("side", self.side, ("right", "left"))
-        check_stiffness("coupling", self.coupling)
+        check_number("coupling", self.coupling, least=0, most=MOST_STIFFNESS)
 
 
 class MimoFinger(MujocoEnv):
@@ -88,15 +92,3 @@ def flexion_joints(side: str, finger: str) -> list[str]:
     """The names of a finger's flexion joints, from the palm outwards."""
     letters, parts = FINGERS[finger]
     return [f"robot:{side}_{letters}_{part}" for part in parts]
-
-
-def check_choice(name: str, value: object, choices: Iterable[str]) -> None:
-    """Raises ValueError unless `value` is one of the choices."""
-    if value not in tuple(choices):
-        raise ValueError(f"{name} must be one of {', '.join(choices)}; got {value!r}")
-
-
-def check_stiffness(name: str, value: object) -> None:
-    """Raises ValueError unless `value` is a finite number of at least 0."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < float("inf"):
-        raise ValueError(f"{name} must be a stiffness of at least 0 N m, got {value!r}")

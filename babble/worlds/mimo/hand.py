@@ -8,10 +8,11 @@ import mujoco
 import numpy as np
 
 from babble.landmarks import Landmark
+from babble.worlds.checks import check_choice, check_number
 from babble.worlds.mimo.coupling import couple
 from babble.worlds.mimo.cuts import cut
 from babble.worlds.mimo.figures import load
-from babble.worlds.mimo.finger import NEAR_LIMIT, check_choice, check_stiffness, flexion_joints
+from babble.worlds.mimo.finger import MOST_STIFFNESS, NEAR_LIMIT, flexion_joints
 from babble.worlds.physics.env import BodyParameters, MujocoEnv, blueprint
 from babble.worlds.physics.patterns import names_of
 from babble.worlds.physics.task import Play
@@ -37,8 +38,8 @@ class HandParameters(BodyParameters):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_choice("side", self.side, ("right", "left"))
-        check_stiffness("coupling", self.coupling)
-        check_stiffness("finger_coupling", self.finger_coupling)
+        check_number("coupling", self.coupling, least=0, most=MOST_STIFFNESS)
+        check_number("finger_coupling", self.finger_coupling, least=0, most=MOST_STIFFNESS)
 
 
 class MimoHand(MujocoEnv):

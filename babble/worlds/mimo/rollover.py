@@ -7,10 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from babble.worlds.batch import Start
+from babble.worlds.checks import check_choice, check_count, check_number
 from babble.worlds.mimo.body import infant
 from babble.worlds.mimo.figures import load
-from babble.worlds.mimo.finger import check_choice
-from babble.worlds.mimo.scenes import add_face, add_floor, hold_head, place
+from babble.worlds.mimo.scenes import CLEARANCE_M, add_face, add_floor, hold_head, lowest_point, place
+from babble.worlds.mimo.whole_body import moving, settled
 from babble.worlds.physics.actuation import Indices
 from babble.worlds.physics.env import BodyParameters, MujocoEnv, blueprint
 from babble.worlds.physics.patterns import matching, names_of
@@ -20,8 +21,10 @@ from babble.worlds.senses.joints import Unit
 from babble.worlds.senses.rendering import View
 
 POSES = ("supine", "prone")
-CLEARANCE_M = 0.02
-"""So much above the settled height a turned body begins, so as not to begin in the floor."""
+REACH_SHARE = 0.3
+"""At a random start, how far each joint may be from rest, as a share of half of its range."""
+CALM_SECS = 1.0
+"""How long a body put down at random comes to rest."""
 SETTLE_SECS = 2.0
 """How long the body lies still, once, to find the pose in which episodes begin."""
 
@@ -45,12 +48,8 @@ class RolloverParameters(BodyParameters):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_choice("start", self.start, POSES)
-        if not isinstance(self.reset_noise_rad, int | float) or not 0 <= self.reset_noise_rad < 1:
-            raise ValueError(f"reset_noise_rad must lie in [0, 1), got {self.reset_noise_rad!r}")
-        if not isinstance(self.settle_steps, int) or not 0 <= self.settle_steps <= 10_000:
-            raise ValueError(
-                f"settle_steps must be a whole number from 0 to 10000, got {self.settle_steps!r}"
-            )
+        check_number("reset_noise_rad", self.reset_noise_rad, least=0, most=1)
+        check_count("settle_steps", self.settle_steps, least=0, most=10_000)
 
 
 class MimoRollover(MujocoEnv):
@@ -75,38 +74,44 @@ class MimoRollover(MujocoEnv):
             parameters,
             joints=joints,
             actuators=np.arange(model.nu),
-            task=lambda: Lying(model, joints, parameters),
+            task=lambda: Lying(model, moving(model, head_held=parameters.head_held)[0], parameters),
         )
 
 
 class Lying(Play):
     """Episodes begin at rest on the floor, a little different each time."""
 
-    def __init__(self, model: mujoco.MjModel, joints: Indices, parameters: RolloverParameters) -> None:
-        super().__init__(model, joints)
+    def __init__(self, model: mujoco.MjModel, loose: Indices, parameters: RolloverParameters) -> None:
+        """`loose` are the joints that are not held."""
+        super().__init__(model, loose)
         self._noise = parameters.reset_noise_rad
         self._settle_steps = parameters.settle_steps
-        data = mujoco.MjData(model)
-        mujoco.mj_step(model, data, round(SETTLE_SECS / model.opt.timestep))
-        self._settled = data.qpos.copy()
+        self._settled = settled(model, {}, SETTLE_SECS)
 
     def begin(self, data: mujoco.MjData, rng: np.random.Generator, start: Start) -> None:
-        """At rest with a little noise; a random start is rolled over by chance, with limbs anywhere near."""
+        """At rest with a little noise; a random start is on either side, with its limbs anywhere near."""
         data.qpos[:] = self._settled
+        middle = data.qpos[self._qpos]
         if start == "random":
             if rng.integers(2):
                 turn_over(data.qpos)
-            middle = data.qpos[self._qpos]
-            reach = 0.3 * rng.uniform(-1, 1, len(middle)) * (self._high - self._low) / 2
+            reach = REACH_SHARE * rng.uniform(-1, 1, len(middle)) * (self._high - self._low) / 2
             data.qpos[self._qpos] = np.clip(middle + reach, self._low, self._high)
+            put_down(self.model, data)
+            mujoco.mj_step(self.model, data, round(CALM_SECS / self.model.opt.timestep))
         else:
-            data.qpos[self._qpos] += rng.uniform(-self._noise, self._noise, len(self._qpos))
+            data.qpos[self._qpos] = middle + rng.uniform(-self._noise, self._noise, len(middle))
         mujoco.mj_step(self.model, data, self._settle_steps)
 
 
 def turn_over(qpos: NDArray[np.float64]) -> None:
-    """Turn a root pose, the first seven numbers, by half a turn about its long axis, and lift it a little."""
+    """Turn a root pose, the first seven numbers, by half a turn about its long axis."""
     half_turn, turned = np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(4)
     mujoco.mju_mulQuat(turned, qpos[3:7], half_turn)
     qpos[3:7] = turned
-    qpos[2] += CLEARANCE_M
+
+
+def put_down(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Move the body up or down until its lowest point is just above the floor."""
+    mujoco.mj_kinematics(model, data)
+    data.qpos[2] += CLEARANCE_M - lowest_point(model, data)

@@ -10,12 +10,14 @@ import numpy as np
 from babble.worlds.mimo.body import ROOT, turn
 
 __all__ = [
+    "CLEARANCE_M",
     "POSTURES",
     "Posture",
     "add_face",
     "add_floor",
     "add_sky",
     "hold_head",
+    "lowest_point",
     "place",
     "set_angles",
     "weld",
@@ -94,7 +96,7 @@ def place(spec: mujoco.MjSpec, posture: str) -> dict[str, float]:
     data = mujoco.MjData(model)
     set_angles(model, data, angles)
     mujoco.mj_kinematics(model, data)
-    root.pos = (0, 0, CLEARANCE_M - _lowest_point(model, data))
+    root.pos = (0, 0, CLEARANCE_M - lowest_point(model, data))
     return angles
 
 
@@ -104,7 +106,7 @@ def set_angles(model: mujoco.MjModel, data: mujoco.MjData, angles_rad: Mapping[s
         data.qpos[model.joint(name).qposadr[0]] = angle
 
 
-def _lowest_point(model: mujoco.MjModel, data: mujoco.MjData) -> float:
+def lowest_point(model: mujoco.MjModel, data: mujoco.MjData) -> float:
     """The height of the body's lowest point, from the support of each geom along z."""
     up = data.geom_xmat[:, 6:9]
     size, kind = model.geom_size, model.geom_type

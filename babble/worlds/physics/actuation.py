@@ -37,13 +37,32 @@ class Actuation(Protocol):
 def balance(model: mujoco.MjModel, actuators: Indices) -> None:
     """Never ask a motor for more than its weaker direction can give, so that both are equally strong.
 
-    Changes the control ranges of motors whose force is limited differently in the two directions.
+    Narrows the control ranges of motors whose force is limited differently in the two directions.
+    Raises ValueError for an actuator that is no plain motor.
     """
-    low, high = model.actuator_forcerange[actuators].T
-    lopsided = model.actuator_forcelimited[actuators].astype(bool) & (low < 0) & (high > 0) & (low != -high)
-    weaker = np.minimum(-low, high)[lopsided]
-    model.actuator_ctrlrange[actuators[lopsided]] = np.stack([-weaker, weaker], axis=1)
-    model.actuator_ctrllimited[actuators[lopsided]] = 1
+    for actuator in actuators:
+        if not plain_motor(model, actuator):
+            name = model.actuator(actuator).name
+            raise ValueError(f"balanced needs motors, and actuator {name!r} is none; leave balanced out")
+        low, high = model.actuator_forcerange[actuator]
+        if not model.actuator_forcelimited[actuator] or not low < 0 < high or low == -high:
+            continue
+        weaker = min(-low, high)
+        if model.actuator_ctrllimited[actuator]:
+            weaker = min(weaker, *np.abs(model.actuator_ctrlrange[actuator]))
+        model.actuator_ctrlrange[actuator] = -weaker, weaker
+        model.actuator_ctrllimited[actuator] = 1
+
+
+def plain_motor(model: mujoco.MjModel, actuator: int) -> bool:
+    """Whether an actuator's force is its control: MuJoCo's `motor`, at a joint."""
+    return bool(
+        model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
+        and model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_NONE
+        and model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
+        and model.actuator_gainprm[actuator, 0] == 1
+        and model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE
+    )
 
 
 class Motors:

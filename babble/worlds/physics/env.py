@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from babble.landmarks import Landmark
 from babble.worlds.batch import Floats
+from babble.worlds.checks import check_choice, check_count, check_flag, check_table
 from babble.worlds.physics.actuation import Actuation, Indices, Motors, balance
 from babble.worlds.physics.impairment import restrict, weaken
 from babble.worlds.physics.muscles import Muscles, hand_over
@@ -22,6 +23,7 @@ from babble.worlds.senses.build import check_names, make_senses
 from babble.worlds.senses.degradation import Degradation
 from babble.worlds.senses.joints import Unit
 from babble.worlds.senses.rendering import View, picture
+from babble.worlds.senses.sense import Sense
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,26 +55,26 @@ class BodyParameters:
 
     def __post_init__(self) -> None:
         check_names(self.senses)
-        if self.actuation not in ("motors", "muscles"):
-            raise ValueError(f'actuation is "motors" or "muscles", got {self.actuation!r}')
-        if not isinstance(self.balanced, bool):
-            raise ValueError(f"balanced must be true or false, got {self.balanced!r}")
-        for name, least in (("physics_steps", 1), ("episode_steps", 0)):
-            value = getattr(self, name)
-            if not isinstance(value, int) or isinstance(value, bool) or value < least:
-                raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}")
+        check_choice("actuation", self.actuation, ("motors", "muscles"))
+        check_choice("angles", self.angles, ("range", "radians"))
+        check_count("physics_steps", self.physics_steps, least=1, most=1000)
+        check_count("episode_steps", self.episode_steps, least=0, most=10**9)
+        for given in fields(self):
+            if isinstance(given.default, bool):
+                check_flag(given.name, getattr(self, given.name))
         for name in ("touch", "vision", "degradation", "mobility", "strength"):
-            if not isinstance(getattr(self, name), Mapping):
-                raise ValueError(f"{name} must be a table, got {getattr(self, name)!r}")
+            check_table(name, getattr(self, name))
+        for sense in ("touch", "vision"):
+            if getattr(self, sense) and sense not in self.senses:
+                raise ValueError(f'{sense} has options, but senses lacks "{sense}"; add it')
+        if self.balanced and self.actuation == "muscles":
+            raise ValueError("balanced is for motors; muscles are as strong as their figures say")
 
     def degradations(self) -> dict[str, Degradation]:
         """By the name of the sense. Raises ValueError for an unknown option or a bad value."""
         known = [option.name for option in fields(Degradation)]
         for sense, options in self.degradation.items():
-            if unknown := sorted(set(options) - set(known)):
-                raise ValueError(
-                    f"degradation of {sense}: there is no {unknown[0]!r}; there are {', '.join(known)}"
-                )
+            check_table(f"degradation of {sense}", options, known)
         return {sense: Degradation(**options) for sense, options in self.degradation.items()}
 
 
@@ -121,7 +123,9 @@ class MujocoEnv(gymnasium.Env[Floats, Floats]):
     ) -> tuple[Floats, dict[str, Any]]:
         """Begin an episode at the task's usual place, or a random one with `options={"start": "random"}`."""
         super().reset(seed=seed)
-        self._single.rng = self.np_random
+        if seed is not None:
+            # The world and its senses share one generator, which is wound to the seed's place.
+            self._single.rng.bit_generator.state = self.np_random.bit_generator.state
         return self._single.reset((options or {}).get("start", "centre"))[0], {}
 
     def step(self, action: Floats) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
@@ -165,16 +169,9 @@ def blueprint(
     `joints` make up the posture and proprioception, `actuators` the action; `task` is made when the
     model is as it will stay. Raises ValueError.
     """
-    restrict(model, parameters.mobility)
-    weaken(model, parameters.strength)
-    if parameters.balanced:
-        balance(model, actuators)
-    muscular = parameters.actuation == "muscles"
-    if muscular:
-        hand_over(model, actuators)
-    kind = Muscles if muscular else Motors
+    actuation = _actuated(model, parameters, joints, actuators)
 
-    def senses(actuation: Actuation, rng: np.random.Generator) -> Any:
+    def senses(actuation: Actuation, rng: np.random.Generator) -> Sequence[Sense]:
         return make_senses(
             model,
             parameters.senses,
@@ -194,13 +191,28 @@ def blueprint(
         joints=joints,
         joint_names=tuple(names[joint] for joint in joints),
         task=task(),
-        actuation=lambda columns: kind(model, actuators, columns),
+        actuation=actuation,
         senses=senses,
         physics_steps=parameters.physics_steps,
         episode_steps=parameters.episode_steps,
         degradations=parameters.degradations(),
         landmarks=landmarks,
     )
+
+
+def _actuated(
+    model: mujoco.MjModel, parameters: BodyParameters, joints: Indices, actuators: Indices
+) -> Callable[[int], Actuation]:
+    """Change the model as the parameters say; returns what makes its actuation for so many copies."""
+    stretched_over = model.jnt_range[model.actuator_trnid[actuators, 0]].copy()
+    restrict(model, parameters.mobility)
+    weaken(model, parameters.strength)
+    if parameters.balanced:
+        balance(model, actuators)
+    if parameters.actuation == "muscles":
+        hand_over(model, actuators, joints)
+        return lambda columns: Muscles(model, actuators, stretched_over, columns)
+    return lambda columns: Motors(model, actuators, columns)
 
 
 def _observation_space(senses: Mapping[str, tuple[int, ...]]) -> spaces.Box:

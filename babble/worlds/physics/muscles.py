@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from babble.worlds.physics.actuation import Copies, Flags, Floats, Indices
+from babble.worlds.physics.actuation import Copies, Flags, Floats, Indices, plain_motor
 
 L_MIN, L_MAX = 0.5, 1.6
 """The ends of the force-length curve, in optimal fibre lengths."""
@@ -30,36 +30,33 @@ class MuscleError(ValueError):
 class Muscles:
     """Two antagonists per motor: an action is (closing..., opening...) excitations, -1 for 0 and 1 for 1.
 
-    Needs a model whose motors were given to muscles by `hand_over`. Implements `Actuation`.
+    Needs a model whose motors were given to muscles by `hand_over`; `ranges` (motors, 2) in radians are
+    those over which the muscles are stretched, also where a joint is restricted. Implements `Actuation`.
     """
 
-    def __init__(self, model: mujoco.MjModel, actuators: Indices, columns: int) -> None:
+    def __init__(self, model: mujoco.MjModel, actuators: Indices, ranges: Floats, columns: int) -> None:
         self.size = 2 * len(actuators)
         self._model = model
         self._actuators = actuators
         joints = model.actuator_trnid[actuators, 0]
         self._qpos = model.jnt_qposadr[joints]
         self._dof = model.jnt_dofadr[joints]
-        self._spring = model.qpos_spring[self._qpos].copy()
-        low, high = model.jnt_range[joints].T - self._spring
+        low, high = ranges.T
         moment = (LCE_MAX - LCE_MIN) / (high - low)
         self._moment = np.stack([moment, -moment], axis=1)
         """(motors, 2)"""
         self._reference = np.stack([LCE_MIN - moment * low, LCE_MIN + moment * high], axis=1)
         self._v_max, self._f_max = _calibrated(model, actuators)
         self._activity = np.zeros((columns, len(actuators), 2))
-        self._asked = np.zeros((columns, self.size))
         self._force = np.zeros((columns, len(actuators), 2))
 
     def begin(self, columns: Flags) -> None:
         """The flagged copies' muscles are at rest."""
         self._activity[columns] = 0.0
         self._force[columns] = 0.0
-        self._asked[columns] = -1.0
 
     def advance(self, copies: Copies, action: Floats, physics_steps: int) -> None:
         """Excite, and step with the torque of the muscles renewed before each physics step."""
-        self._asked = action
         excitation = (np.stack(np.split(action, 2, axis=1), axis=2) + 1) / 2
         rate = self._model.opt.timestep / ACTIVATION_SECS
         for _ in range(physics_steps):
@@ -77,20 +74,27 @@ class Muscles:
 
     def _torque(self, position: Floats, velocity: Floats) -> Floats:
         """(E, motors) in N m. Muscles pull: a positive force on a positive moment turns backwards."""
-        length = (position - self._spring)[..., None] * self._moment + self._reference
+        length = position[..., None] * self._moment + self._reference
         speed = velocity[..., None] * self._moment
         active = force_length(length) * force_velocity(speed / self._v_max[:, None]) * self._activity
         self._force = (active + passive_force(length)) * self._f_max
         return -(self._moment * self._force).sum(axis=2)
 
 
-def hand_over(model: mujoco.MjModel, actuators: Indices) -> None:
+def hand_over(model: mujoco.MjModel, actuators: Indices, joints: Indices) -> None:
     """Change a model for muscles, once: springs go, dampers weaken, motors pass any torque on.
 
-    Raises `MuscleError` for a model without the muscles' figures.
+    `joints` are the body's own, driven or not. Raises `MuscleError` for a model without the muscles'
+    figures, and for an actuator that does not move a hinge with limits.
     """
+    for actuator in actuators:
+        joint = model.actuator_trnid[actuator, 0]
+        hinge = plain_motor(model, actuator) and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
+        if not hinge or not model.jnt_limited[joint]:
+            name = model.actuator(actuator).name
+            raise MuscleError(f"muscles need motors of hinges with limits, and {name!r} drives none")
     _calibrated(model, actuators)
-    hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE)
+    hinges = joints[model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_HINGE]
     model.actuator_gear[actuators, 0] = 1.0
     model.actuator_forcelimited[actuators] = 0
     model.actuator_ctrllimited[actuators] = 0

@@ -1,7 +1,7 @@
 """Choosing joints, actuators, sensors, bodies and cameras of a model by patterns over their names."""
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from fnmatch import fnmatchcase
 
 import mujoco
@@ -38,21 +38,23 @@ def matching(names: Sequence[str], patterns: Sequence[str], kind: str) -> Indice
     it matches. Names that are empty match nothing. Raises `PatternError` for a pattern that matches
     nothing, with the nearest names, and when nothing is left.
     """
-    if isinstance(patterns, str) or not all(isinstance(pattern, str) for pattern in patterns):
+    listed = isinstance(patterns, Sequence) and not isinstance(patterns, str)
+    if not listed or not all(isinstance(pattern, str) for pattern in patterns):
         raise PatternError(f"{kind}s are chosen by a list of patterns, got {patterns!r}")
     chosen: set[int] = set()
     for pattern in patterns:
         wanted = pattern.removeprefix("!")
         found = {index for index, name in enumerate(names) if name and fnmatchcase(name, wanted)}
         if not found:
-            raise PatternError(f"no {kind} matches {wanted!r}; {_nearest(names, wanted, kind)}")
+            raise PatternError(f"no {kind} matches {wanted!r}; {nearest(names, wanted, kind)}")
         chosen = chosen - found if pattern.startswith("!") else chosen | found
     if not chosen:
         raise PatternError(f"the patterns {list(patterns)} leave no {kind} of the model's {len(names)}")
     return np.array(sorted(chosen), dtype=np.intp)
 
 
-def _nearest(names: Sequence[str], wanted: str, kind: str) -> str:
+def nearest(names: Iterable[str], wanted: str, kind: str) -> str:
+    """Half a sentence that names what is like the wanted name, or what there is."""
     known = [name for name in names if name]
     if not known:
         return f"the model has no {kind} with a name"

@@ -68,6 +68,7 @@ class MujocoWorld:
         self.rng = rng
         self.landmarks = blueprint.landmarks
         self.posture_names = blueprint.joint_names
+        self.rewarded = blueprint.task.rewarded
         self._model = blueprint.model
         # A broken simulation is to be seen, not to be set back behind our back.
         self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
@@ -82,6 +83,7 @@ class MujocoWorld:
         self._centre, self._half = centre_and_half_range(self._model, blueprint.joints)
         self._steps = np.zeros(columns, np.int64)
         self._none = np.zeros(columns, np.bool_)
+        self._last = np.zeros((columns, self.observation_size), np.float32)
 
     @property
     def posture_size(self) -> int:
@@ -120,25 +122,21 @@ class MujocoWorld:
         self._actuation.advance(self.copies, clipped, self.blueprint.physics_steps)
         self._steps += 1
         task, limit = self.blueprint.task, self.blueprint.episode_steps
-        terminated, reward = task.terminated(self.copies), task.reward(self.copies)
-        truncated = (self._steps >= limit) & ~terminated if limit else self._none.copy()
         failed = self._broken()
         # Numbers of a broken simulation need not fit the observation's type.
         with np.errstate(all="ignore") if failed is not None else nullcontext():
+            terminated, reward = task.terminated(self.copies), task.reward(self.copies)
             observation = self._joined([self._passed(sense) for sense in self._senses])
+        truncated = (self._steps >= limit) & ~terminated if limit else self._none.copy()
         if failed is not None:
             observation[failed], reward[failed] = 0.0, 0.0
+        self._last = observation
         return Step(observation, terminated, truncated, reward, failed)
 
     def posture(self) -> Floats:
         """(E, joints): where each joint is in its range, from -1 to 1."""
         position = np.array([data.qpos for data in self.copies])[:, self._qpos]
         return np.clip((position - self._centre) / self._half, -1, 1).astype(np.float32)
-
-    def uniform_points(self, count: int, rng: np.random.Generator) -> Floats:
-        """Observations at random starts of the task."""
-        spare = MujocoWorld(self.blueprint, 1, rng)
-        return np.concatenate([spare.reset("random") for _ in range(count)])
 
     def _begin(self, columns: Flags, start: Start) -> Floats:
         for index in np.flatnonzero(columns).tolist():
@@ -152,7 +150,11 @@ class MujocoWorld:
         for sense in self._senses:
             value, degraded = sense.read(self.copies), self._degraded.get(sense.name)
             values.append(value if degraded is None else degraded.begin(value, columns))
-        return self._joined(values)
+        observation = self._joined(values)
+        # Copies that go on have seen what they saw: another reading would draw new noise.
+        observation[~columns] = self._last[~columns]
+        self._last = observation
+        return observation
 
     def _joined(self, values: Sequence[Floats]) -> Floats:
         return np.concatenate([value.reshape(self.columns, -1) for value in values], axis=1)

@@ -1,13 +1,16 @@
 """The senses of a body, chosen by name."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
 import mujoco
 import numpy as np
 
+from babble.worlds.checks import check_table, check_texts, shown
 from babble.worlds.physics.actuation import Actuation, Indices
 from babble.worlds.physics.patterns import matching, names_of
+from babble.worlds.senses.eyesight import Eyesight
 from babble.worlds.senses.joints import Actuated, Limits, Position, Sensors, Unit, Velocity
 from babble.worlds.senses.sense import Sense
 from babble.worlds.senses.touch import Touch
@@ -31,6 +34,8 @@ _OF_TYPE = {
         (mujoco.mjtSensor.mjSENS_ACCELEROMETER, mujoco.mjtSensor.mjSENS_GYRO),
     ),
 }
+TOUCH_OPTIONS = ("bodies", "resolution", "components")
+VISION_OPTIONS = ("cameras", "resolution", "shadows", *(given.name for given in fields(Eyesight)))
 
 
 def make_senses(
@@ -67,9 +72,11 @@ def make_senses(
             case "sensors":
                 made.append(Sensors(model, matching(names_of(model, "sensor"), sensors, "sensor")))
             case "touch":
-                made.append(_with_options(Touch, model, "touch", touch))
+                check_table("touch", touch or {}, TOUCH_OPTIONS)
+                made.append(Touch(model, **(touch or {})))
             case "vision":
-                made.append(_with_options(Vision, model, "vision", {**(vision or {}), "rng": rng}))
+                check_table("vision", vision or {}, VISION_OPTIONS)
+                made.append(Vision(model, **(vision or {}), rng=rng))
             case _:
                 made.append(_of_type(model, name))
     return made
@@ -77,8 +84,11 @@ def make_senses(
 
 def check_names(names: Sequence[str]) -> None:
     """Raises ValueError unless `names` is a list of distinct names of `SENSES`."""
-    if isinstance(names, str) or not names or len(set(names)) != len(names):
-        raise ValueError(f"senses must be a list of distinct names out of {', '.join(SENSES)}; got {names!r}")
+    check_texts("senses", names)
+    if not names or len(set(names)) != len(names):
+        raise ValueError(
+            f"senses must be a list of distinct names out of {', '.join(SENSES)}; got {shown(names)}"
+        )
     if unknown := [name for name in names if name not in SENSES]:
         raise ValueError(f"there is no sense {unknown[0]!r}; the senses are {', '.join(SENSES)}")
 
@@ -89,11 +99,3 @@ def _of_type(model: mujoco.MjModel, name: str) -> Sense:
     if not found.size:
         raise ValueError(f"the model has no {what}, which the sense {name!r} reads; leave it out of senses")
     return Sensors(model, found, name)
-
-
-def _with_options(kind: Any, model: mujoco.MjModel, name: str, options: Mapping[str, Any] | None) -> Sense:
-    try:
-        sense: Sense = kind(model, **(options or {}))
-    except TypeError as error:
-        raise ValueError(f"{name}: {str(error).partition(') ')[2] or error}") from None
-    return sense

@@ -9,9 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from babble.worlds.checks import check_count, check_number
+
 Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 MAX_DELAY_STEPS = 100
+MOST = 1e6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,16 +34,9 @@ class Degradation:
 
     def __post_init__(self) -> None:
         for name in ("threshold", "gain", "noise_std"):
-            value = getattr(self, name)
-            if not isinstance(value, int | float) or not 0 <= value < float("inf"):
-                raise ValueError(f"degradation: {name} must be a number of at least 0, got {value!r}")
-        if not isinstance(self.lost_share, int | float) or not 0 <= self.lost_share < 1:
-            raise ValueError(f"degradation: lost_share must lie in [0, 1), got {self.lost_share!r}")
-        late = self.delay_steps
-        if not isinstance(late, int) or isinstance(late, bool) or not 0 <= late <= MAX_DELAY_STEPS:
-            raise ValueError(
-                f"degradation: delay_steps must be a whole number from 0 to {MAX_DELAY_STEPS}, got {late!r}"
-            )
+            check_number(f"degradation: {name}", getattr(self, name), least=0, most=MOST)
+        check_number("degradation: lost_share", self.lost_share, least=0, most=0.99)
+        check_count("degradation: delay_steps", self.delay_steps, least=0, most=MAX_DELAY_STEPS)
 
 
 class Degraded:

@@ -12,6 +12,8 @@ from numbers import Real
 import numpy as np
 from numpy.typing import NDArray
 
+from babble.worlds.checks import check_texts
+
 Floats = NDArray[np.float32]
 Images = NDArray[np.uint8] | Floats
 PerEye = float | Sequence[float]
@@ -48,8 +50,7 @@ class Eyesight:
         for field in fields(self):
             value = getattr(self, field.name)
             if field.name == "closed_eyes":
-                if isinstance(value, str) or not all(isinstance(pattern, str) for pattern in value):
-                    raise ValueError(f"eyesight: closed_eyes is a list of names, got {value!r}")
+                check_texts("eyesight: closed_eyes", value)
                 continue
             if not all(_fits(field.name, number) for number in _listed(value)) or not _listed(value):
                 bounds = "above 0" if field.name == "acuity_cpd" else f"from 0 to {MOST:.0f}"
