@@ -49,7 +49,8 @@ def test_an_action_goes_from_one_end_of_the_control_range_to_the_other_and_no_fu
     world = world_of(columns=2)
     world.reset()
     world.step(np.array([[-1, -1], [7, 7]], np.float32))
-    assert_allclose([data.ctrl for data in world.copies], [[-1, -2], [1, 4]])
+    forces = [data.actuator_force for data in world.copies]
+    assert_allclose(forces, [[-0.5, -2], [1, 4]], err_msg="lift is weaker backwards")
 
 
 def test_positions_and_postures_are_shares_of_the_range() -> None:

@@ -201,4 +201,4 @@ def _landmarks(model: mujoco.MjModel, joints: Indices) -> tuple[Landmark, ...]:
         tuple(names.index(f"robot:{side}_{part}") for part in parts for side in ("right", "left"))
         for parts in (("hip1",), ("knee",), ("knee", "foot1"))
     )
-    return Landmark("standing", groups, MARK, 1.0), Landmark("sitting", groups, -1.0, -MARK)
+    return (Landmark("standing", groups, MARK, 1.0),)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Actions = NDArray[np.float32] | Floats
 Flags = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 Copies = Sequence[mujoco.MjData]
@@ -25,8 +26,8 @@ class Actuation(Protocol):
         """Forget the past of the flagged copies (E,), which start anew."""
         ...
 
-    def advance(self, copies: Copies, action: Floats, physics_steps: int) -> None:
-        """Do so many physics steps of each copy under the action (E, a)."""
+    def advance(self, copies: Copies, action: Actions, physics_steps: int) -> None:
+        """Do so many physics steps of each copy under the action (E, a), clipped to [-1, 1]."""
         ...
 
     def efforts(self) -> Floats:
@@ -81,19 +82,19 @@ class Motors:
         low, high = model.actuator_ctrlrange[actuators].T
         self._centre = np.where(limited, (low + high) / 2, 0.0)
         self._half = np.where(limited, (high - low) / 2, 1.0)
-        self._as_it_is = bool((self._centre == 0).all() and (self._half == 1).all())
+        self._as_it_is = bool((self._centre == 0).all() and (self._half == 1).all() and limited.all())
         self._all = self.size == model.nu
-        self._asked = np.zeros((columns, self.size))
+        self._asked: Actions = np.zeros((columns, self.size))
         self._copies: Copies = ()
 
     def begin(self, columns: Flags) -> None:
         """The flagged copies have asked for nothing yet."""
-        self._asked[columns] = 0.0
+        self._asked = np.where(columns[:, None], 0.0, self._asked)
 
-    def advance(self, copies: Copies, action: Floats, physics_steps: int) -> None:
-        """Set the controls, once, and step."""
+    def advance(self, copies: Copies, action: Actions, physics_steps: int) -> None:
+        """Set the controls, once, and step; MuJoCo itself keeps controls within their ranges."""
         self._asked, self._copies = action, copies
-        controls = action if self._as_it_is else self._centre + self._half * action
+        controls = action if self._as_it_is else self._centre + self._half * np.clip(action, -1, 1)
         for data, control in zip(copies, controls, strict=True):
             if self._all:
                 data.ctrl[:] = control
@@ -103,8 +104,9 @@ class Motors:
 
     def efforts(self) -> Floats:
         """(E, 2a): the action, and each actuator's force times its gear, N m for a hinge."""
+        asked = np.clip(self._asked, -1, 1)
         if not self._copies:
-            return np.concatenate([self._asked, np.zeros_like(self._asked)], axis=1)
+            return np.concatenate([asked, np.zeros_like(asked)], axis=1)
         gear = self._model.actuator_gear[self._actuators, 0]
         force = np.array([data.actuator_force for data in self._copies])[:, self._actuators] * gear
-        return np.concatenate([self._asked, force], axis=1)
+        return np.concatenate([asked, force], axis=1)

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from babble.worlds.physics.actuation import Copies, Flags, Floats, Indices, plain_motor
+from babble.worlds.physics.actuation import Actions, Copies, Flags, Floats, Indices, plain_motor
 
 L_MIN, L_MAX = 0.5, 1.6
 """The ends of the force-length curve, in optimal fibre lengths."""
@@ -55,9 +55,9 @@ class Muscles:
         self._activity[columns] = 0.0
         self._force[columns] = 0.0
 
-    def advance(self, copies: Copies, action: Floats, physics_steps: int) -> None:
+    def advance(self, copies: Copies, action: Actions, physics_steps: int) -> None:
         """Excite, and step with the torque of the muscles renewed before each physics step."""
-        excitation = (np.stack(np.split(action, 2, axis=1), axis=2) + 1) / 2
+        excitation = (np.clip(np.stack(np.split(action, 2, axis=1), axis=2), -1, 1) + 1) / 2
         rate = self._model.opt.timestep / ACTIVATION_SECS
         for _ in range(physics_steps):
             self._activity = np.clip(self._activity + rate * (excitation - self._activity), 0, 1)
