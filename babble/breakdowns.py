@@ -31,8 +31,8 @@ class Breakdowns:
         self._in_a_row += 1
         if self._in_a_row >= MOST_IN_A_ROW:
             raise UnstableError(
-                f"the simulation of {self._world} broke down {self._in_a_row} times in a row before a "
-                "segment was full; give it a smaller timestep, weaker actuators or a lower gain"
+                f"the simulation of {self._world} broke down {self._in_a_row} times in a row before "
+                "anything was finished; give it a smaller timestep, weaker actuators or a lower gain"
             )
 
     def finish(self) -> None:

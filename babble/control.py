@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from babble.breakdowns import Breakdowns
 from babble.encoder.export import export_encoder
 from babble.encoder.network import Encoder
+from babble.encoder.vision import FEATURES
 from babble.memory import ExperienceMemory
 from babble.noise import Noise
 from babble.policy.act import EncoderModel, PolicyModel
@@ -33,6 +34,7 @@ def train_on_untrained_encoder(
     train_steps: int,
     goal_period_steps: int = 100,
     encoder_hidden: tuple[int, ...] = (64, 64),
+    vision_features: int = FEATURES,
     seed: int = 0,
     **ppo: Any,
 ) -> tuple[EncoderModel, PolicyModel]:
@@ -45,7 +47,15 @@ def train_on_untrained_encoder(
         int(word) for word in np.random.SeedSequence([seed, 5]).generate_state(3)
     )
     mean, scale = walk(world, noise, walk_steps).scaling()
-    network = Encoder(world.senses, latent_dim, encoder_hidden, mean, scale, seed=encoder_seed)
+    network = Encoder(
+        world.senses,
+        latent_dim,
+        encoder_hidden,
+        mean,
+        scale,
+        vision_features=vision_features,
+        seed=encoder_seed,
+    )
     encoder = EncoderModel(export_encoder(network))
     learner = GoalPPO(latent_dim, world.action_size, columns=world.columns, seed=policy_seed, **ppo)
     rng = np.random.default_rng(acting_seed)

@@ -64,7 +64,7 @@ class Legs:
     """(E, p) where the columns began"""
     external_reward: NDArray[Any] | None = None
     """(L, E) the task's own reward, the mean over the second half of each leg's steps: in the first
-    half the body is still on its way from the vertex before"""
+    half the body is still on its way from the vertex before; None where there is no task"""
 
 
 @dataclass
@@ -130,13 +130,14 @@ class Walk:
         """The legs by block. Raises RuntimeError before the walk is done."""
         if not self.done:
             raise RuntimeError("the legs are known once the walk is done")
+        rewards = np.stack(self._rewards) if self._world.rewarded else None
         return {
             block: Legs(
                 posture=np.stack(self._postures),
                 latent=np.stack([latent for latent, _ in ends]),
                 goal=np.stack([goal for _, goal in ends]),
                 start_posture=self._start,
-                external_reward=np.stack(self._rewards),
+                external_reward=rewards,
             )
             for block, ends in self._ends.items()
         }

@@ -18,6 +18,8 @@ AT_ONCE = 1 << 23
 """So many numbers are looked at together for the scaling: 64 MiB of float64."""
 RESOLUTION = 1e-6
 """What varies by less than this share of its size is taken to be still; float32 rounds at 6e-8."""
+LEAST_SPREAD = 1e-9
+"""What varies by less than this is taken to be still too: about 0 a share of the size says nothing."""
 
 
 class ExperienceMemory:
@@ -50,10 +52,13 @@ class ExperienceMemory:
         Raises ValueError when no episode has two steps.
         """
         flat = self._settled()
-        if self._index is None:
-            self._index = _PairIndex(self._episode_numbers(flat[EPISODES]))
-        anchor, positive = self._index.sample(rng, batch, window_steps)
+        anchor, positive = self._pairs().sample(rng, batch, window_steps)
         return self._observations(flat, anchor), self._observations(flat, positive)
+
+    @property
+    def has_pairs(self) -> bool:
+        """Whether any episode has two steps."""
+        return self.steps > 0 and self._pairs().most > 0
 
     def scaling(self) -> tuple[Floats, Floats]:
         """Of all observations the mean (n,), and the scale (n,): one number for each sense, repeated.
@@ -67,7 +72,7 @@ class ExperienceMemory:
             part, within = self.layout.places[name]
             means, variances = _moments(flat[part][:, within])
             spread = np.sqrt(variances.mean())
-            moved = spread > RESOLUTION * np.abs(means).max()
+            moved = spread > max(RESOLUTION * np.abs(means).max(), LEAST_SPREAD)
             mean[place], scale[place] = means, spread if moved else 1.0
         return mean, scale
 
@@ -147,6 +152,12 @@ class ExperienceMemory:
             start = stop
         return joined
 
+    def _pairs(self) -> "_PairIndex":
+        flat = self._settled()
+        if self._index is None:
+            self._index = _PairIndex(self._episode_numbers(flat[EPISODES]))
+        return self._index
+
     def _part_shapes(self) -> dict[str, tuple[int, ...]]:
         return {**{part: (size,) for part, size in self.layout.parts.items()}, EPISODES: ()}
 
@@ -188,15 +199,16 @@ class _PairIndex:
         last = np.searchsorted(episodes, episodes, side="right") - 1
         room = last - np.arange(len(episodes))
         self._order = np.argsort(-room, kind="stable")
-        self._most = int(room.max())
-        self._anchors_with = np.searchsorted(-room[self._order], -np.arange(self._most + 1), side="right")
+        self.most = int(room.max())
+        """steps that two observations of one episode are apart at most"""
+        self._anchors_with = np.searchsorted(-room[self._order], -np.arange(self.most + 1), side="right")
 
     def sample(self, rng: np.random.Generator, batch: int, window_steps: int) -> tuple[Indices, Indices]:
         """Where the anchors and the positives (B,) are."""
         if window_steps < 1 or batch < 1:
             raise ValueError(f"pairs need window_steps >= 1 and batch >= 1, got {window_steps} and {batch}")
-        if not self._most:
+        if not self.most:
             raise ValueError("no episode in the experience memory has two steps")
-        offset = rng.integers(1, min(window_steps, self._most) + 1, batch)
+        offset = rng.integers(1, min(window_steps, self.most) + 1, batch)
         anchor = self._order[rng.integers(0, self._anchors_with[offset])]
         return anchor, anchor + offset

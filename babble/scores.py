@@ -62,10 +62,7 @@ def landmarks_of(world: World, tree: BlockTree) -> tuple[Landmark, ...]:
 
 
 def score(
-    legs: Legs,
-    diameter: float,
-    crossing_axis: int | None = None,
-    landmarks: Sequence[Landmark] = (),
+    legs: Legs, diameter: float, crossing_axis: int | None = None, landmarks: Sequence[Landmark] = ()
 ) -> ScoreValues:
     """The measures of an evaluation. The first leg is not scored: it started somewhere, not at a vertex.
 
@@ -79,14 +76,14 @@ def score(
       most one vertex stands for a landmark and one landmark for a vertex, so that the sum of the shares
       is greatest; landmark_vertices says which. One that no leg reached has share 0 and no vertex.
     - external_reward: the mean over legs of the task's own reward per step in a leg's second half, and
-      the same by vertex (None for one that was no goal). None if no leg has any: there is no task.
+      the same by vertex (None for one that was no goal). None where there is no task.
 
-    Raises ValueError for fewer than three legs, or arrays that do not fit together.
+    Raises ValueError for fewer than three legs, or arrays that do not fit.
     """
     _check(legs)
     posture, goal = legs.posture[1:].astype(np.float64), legs.goal[1:].astype(np.int64)
-    at_goal = np.take_along_axis(legs.latent[1:].astype(np.float64), goal[:, :, None], axis=2)[:, :, 0]
     visited, latent_dim = np.unique(goal), legs.latent.shape[2]
+    at_goal = np.take_along_axis(legs.latent[1:].astype(np.float64), goal[:, :, None], axis=2)[:, :, 0]
     apart = _apart(posture, goal, visited, latent_dim) / diameter
     shares, vertices = _reached(landmarks, posture, goal, visited)
     external, by_vertex = _external(legs, goal, latent_dim)
@@ -159,7 +156,7 @@ def _assigned(shares: dict[str, dict[int, float]]) -> dict[str, int]:
 def _external(
     legs: Legs, goal: NDArray[np.int64], latent_dim: int
 ) -> tuple[float | None, list[float | None] | None]:
-    if legs.external_reward is None or not legs.external_reward.any():
+    if legs.external_reward is None:
         return None, None
     rewards = legs.external_reward[1:].astype(np.float64)
     by_vertex = [

@@ -3,7 +3,8 @@
 import statistics
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +32,9 @@ BODIES: Mapping[str, tuple[str, dict[str, Any], int]] = {
 def measure(*, repetitions: int = 7, segments: int = 200) -> list[Table]:
     """The tables; the actor's memory is its peak over so many segments."""
     rows = [_actor_row("actor", cuboid(), repetitions, segments)]
-    with first_start():
-        rows.append(_actor_row("actor, first start after an installation", cuboid(), repetitions, segments))
+    rows.append(
+        _actor_row("actor, first start after an installation", cuboid(), repetitions, segments, first_start)
+    )
     for name, (id, parameters, columns) in BODIES.items():
         settings = in_world(id, parameters, actors={"envs_per_actor": columns})
         rows.append(_actor_row(f"actor, {name}, {columns} copies", settings, repetitions, segments // 20))
@@ -45,7 +47,8 @@ def measure(*, repetitions: int = 7, segments: int = 200) -> list[Table]:
             [
                 "MB = 10^6 bytes of resident memory (VmHWM); seconds from exec",
                 f"first step: median of {repetitions}; in GROUND, with both models, "
-                "until the learner has the first segment, here of 2 steps x 8 worlds",
+                "until the learner has the first segment, here of 2 steps of 8 copies, or as many as are "
+                "named",
                 f"actor: peak over {segments} segments, a twentieth of that with a simulated body; "
                 "router and coordinator: peak when ready and idle",
             ],
@@ -63,10 +66,20 @@ def _first_step_secs(settings: RunSettings) -> float:
         return fed.stand_in.first_segment_secs - fed.child.started_secs
 
 
-def _actor_row(name: str, settings: RunSettings, repetitions: int, segments: int) -> list[str]:
-    first = [_first_step_secs(settings) for _ in range(repetitions)]
+def _actor_row(
+    name: str,
+    settings: RunSettings,
+    repetitions: int,
+    segments: int,
+    starting: Callable[[], AbstractContextManager[None]] = nullcontext,
+) -> list[str]:
+    """Each start is within `starting()`."""
+    first = []
+    for _ in range(repetitions):
+        with starting():
+            first.append(_first_step_secs(settings))
     steps = max(1, segments) * settings.actors.segment_steps * settings.actors.envs_per_actor
-    with fed_actor(settings) as fed:
+    with starting(), fed_actor(settings) as fed:
         wait_for_line(fed.child, "ready in run")
         ready_secs = time.monotonic() - fed.child.started_secs
         fed.until(lambda: fed.stand_in.steps >= steps)

@@ -107,7 +107,8 @@ def _bare_scene(scene: Path, folder: Path, jacobian: str) -> str:
 
 def _of_world(id: str, parameters: Mapping[str, Any], senses: Sequence[str], columns: int) -> Contender:
     touching = make(id, {**parameters, "senses": [*senses, "touch"]}, columns, 0)
-    numb = make(id, {**parameters, "senses": senses}, columns, 0)
+    without = {name: value for name, value in parameters.items() if name != "touch"}
+    numb = make(id, {**without, "senses": senses}, columns, 0)
     return Contender(touching.senses["touch"][0] // 3, _stepping(touching), _stepping(numb))
 
 

@@ -31,6 +31,8 @@ ALL_BLOCKS = "all"
 MAX_ENTRIES = 256
 """The most entries of a list or map in a header; bounds memory, far above any real use."""
 MAX_REPLY_CHARS = 1 << 18
+MAX_STEPS = 1 << 20
+"""The most environment steps per column of a segment."""
 
 
 class Phase(StrEnum):
@@ -125,7 +127,7 @@ class Segment(WithArrays):
     policy_version: Count = 0
     """The policy version that acted in this segment."""
     policy: Literal["random", "sampled", "mean"] = "random"
-    steps: Annotated[int, Field(ge=1, le=2**20)]
+    steps: Annotated[int, Field(ge=1, le=MAX_STEPS)]
     columns: Annotated[int, Field(ge=1, le=2**16)]
     first_step: Count
     """Environment steps per column that this life had done in this term before the segment."""

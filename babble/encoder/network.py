@@ -12,6 +12,15 @@ from babble.encoder.vision import FEATURES, Eyes
 from babble.observations import VECTORS, Layout, Senses
 
 
+def weight_bytes(
+    senses: Senses, latent_dim: int, hidden: Sequence[int], *, vision_features: int = FEATURES
+) -> int:
+    """What the weights of such an encoder and its scaling take, found without making room for them."""
+    with torch.device("meta"):
+        encoder = Encoder(senses, latent_dim, hidden, vision_features=vision_features)
+    return sum(numbers.nbytes for numbers in encoder.state_dict().values())
+
+
 class Encoder(nn.Module):
     """x -> z = softmax(MLP(v)), with tanh layers; z is (B, latent_dim), its rows sum to 1.
 

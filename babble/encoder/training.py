@@ -1,8 +1,10 @@
 """Fitting the encoder: phase 1 (ENCODE) and phase 4 (REFINE) of the thesis (3.3)."""
 
 import copy
+from collections import deque
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -13,12 +15,23 @@ from babble.encoder.cltt import Similarity, alignment, info_nce, similarities, u
 from babble.encoder.network import Encoder
 from babble.memory import ExperienceMemory
 
+RECENT = 25
+"""Measurements are means over so many updates."""
+
 
 @dataclass
 class _Fit:
     window_steps: int
     temperature: float
     updates: int = 0
+
+
+class _Recent(NamedTuple):
+    """What one update found."""
+
+    loss: float
+    accuracy: float
+    alignment: float
 
 
 class EncoderTrainer:
@@ -42,6 +55,7 @@ class EncoderTrainer:
         self._optimiser = self._fresh_optimiser()
         self._old: dict[str, Tensor] = {}
         self._fit: _Fit | None = None
+        self._recent: deque[_Recent] = deque(maxlen=RECENT)
 
     @property
     def updates_done(self) -> int:
@@ -57,15 +71,19 @@ class EncoderTrainer:
         self._fit = _Fit(window_steps, temperature)
         self._old = copy.deepcopy(self.encoder.state_dict())
         self._optimiser = self._fresh_optimiser()
+        self._recent.clear()
 
-    def update(self, memory: ExperienceMemory, count: int) -> dict[str, float]:
-        """Do `count` updates; the means of loss, accuracy and alignment, and the last batch's uniformity.
+    def update(
+        self, memory: ExperienceMemory, count: int, enough: Callable[[], bool] = lambda: False
+    ) -> dict[str, float]:
+        """Do `count` updates, fewer if `enough()` after one of them; returns what the last ones found.
 
-        accuracy = the share of anchors whose own positive is the nearest of the batch. Raises
-        RuntimeError outside a fit and FloatingPointError when the loss is not finite.
+        These are the means of loss, accuracy and alignment over the last 25 updates of the fit, however they
+        were sliced, and the last batch's uniformity. accuracy = the share of anchors whose own positive is
+        the nearest of the batch. Raises RuntimeError outside a fit and FloatingPointError when the loss is
+        not finite.
         """
         fit = self._under_way()
-        losses, hits, distances = [], [], []
         z = torch.empty(0)
         for _ in range(count):
             anchor, positive = memory.sample_pairs(self._rng, self._batch, fit.window_steps)
@@ -77,17 +95,14 @@ class EncoderTrainer:
             loss.backward()
             self._optimiser.step()
             fit.updates += 1
-            losses.append(loss.item())
-            hits.append(self._accuracy(z.detach(), near.detach()))
-            distances.append(alignment(z.detach(), near.detach()).item())
+            z, near = z.detach(), near.detach()
+            self._recent.append(_Recent(loss.item(), self._accuracy(z, near), alignment(z, near).item()))
+            if enough():
+                break
         if not count:
             return {}
-        return {
-            "loss": float(np.mean(losses)),
-            "accuracy": float(np.mean(hits)),
-            "alignment": float(np.mean(distances)),
-            "uniformity": uniformity(z.detach()).item(),
-        }
+        means = np.mean(self._recent, axis=0).tolist()
+        return {**_Recent(*means)._asdict(), "uniformity": uniformity(z).item()}
 
     def end_fit(self, blend: float = 1.0) -> None:
         """Close the fit: weights = (1 - blend) * old + blend * new (eq. 13); 1 keeps the new ones.
@@ -126,6 +141,7 @@ class EncoderTrainer:
         self._optimiser.load_state_dict(state["optimiser"])
         rng_state.load(self._rng, state["rng"])
         self._fit = _Fit(**state["fit"]) if state["fit"] else None
+        self._recent.clear()
 
     def _fresh_optimiser(self) -> torch.optim.Adam:
         return torch.optim.Adam(self.encoder.parameters(), lr=self._learning_rate)

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from babble.blocks import BlockTree
+from babble.bodies import make_body
 from babble.observations import Layout, part_of
-from babble.worlds import make
 from babble.worlds.batch import World
 from services.runtime.settings import RunSettings, SettingsError
 
@@ -24,9 +24,8 @@ class Body:
     """of what each block of level 0 observes"""
 
     @classmethod
-    def of(cls, world: World, settings: RunSettings) -> "Body":
-        """The run's blocks on a world. Raises BlockError or ValueError for blocks that do not fit it."""
-        tree = BlockTree.of(settings.block, world.observation_size, world.action_size)
+    def of(cls, world: World, tree: BlockTree) -> "Body":
+        """A world and its blocks. Raises ValueError for a block that observes part of an image."""
         layouts = {spec.name: _layout(world, tree, spec.name) for spec in tree.level(0)}
         return cls(world, tree, layouts)
 
@@ -34,14 +33,15 @@ class Body:
 def body_of(settings: RunSettings, seeds: np.random.SeedSequence) -> Body:
     """`envs_per_actor` copies of the run's world. Raises `SettingsError` if there is no such thing."""
     try:
-        world = make(
+        world, tree = make_body(
             settings.world.id,
             settings.world.parameters,
+            settings.block,
             columns=settings.actors.envs_per_actor,
             seed=seeds.generate_state(4).tolist(),
         )
-        return Body.of(world, settings)
-    except (ValueError, TypeError) as error:
+        return Body.of(world, tree)
+    except ValueError as error:
         raise SettingsError(str(error)) from None
 
 

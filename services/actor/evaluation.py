@@ -35,7 +35,6 @@ class EvaluationCollector:
         self._walk: Walk | None = None
         self._walk_mode: PolicyMode = "mean"
         self._held: dict[str, Held] = {}
-        self._done = 0
 
     def at_border(self) -> bool:
         """True between two walks."""
@@ -51,7 +50,6 @@ class EvaluationCollector:
         if not done:
             return []
         self._walk = None
-        self._done += 1
         return [self._finish(block, legs) for block, legs in walk.legs().items()]
 
     def _begin(self) -> Walk:
@@ -82,8 +80,10 @@ class EvaluationCollector:
             "posture": legs.posture,
             "latent": legs.latent,
             "goal": legs.goal,
-            "external_reward": np.asarray(legs.external_reward),
         }
+        if legs.external_reward is not None:
+            arrays["external_reward"] = legs.external_reward
+        columns = self._body.world.columns
         return Finished(
             block=block,
             arrays=arrays,
@@ -91,6 +91,7 @@ class EvaluationCollector:
             encoder_version=self._held[block].encoder_version,
             policy_version=self._held[block].policy_version,
             steps=steps,
-            columns=self._body.world.columns,
-            first_step=(self._done - 1) * steps,
+            columns=columns,
+            # Attempts that broke down count too, so that the gap can be seen.
+            first_step=self.env_steps // columns - steps,
         )

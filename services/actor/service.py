@@ -35,7 +35,8 @@ IDLE_SECS = 0.05
 class Actor:
     """The actor service; see `poll`.
 
-    Raises `SettingsError` for a world or blocks that cannot be, or segments that fit into no frame.
+    Raises `SettingsError` for a world or blocks that cannot be, segments that fit into no frame, or a reward
+    that there is not.
     """
 
     def __init__(self, context: Context) -> None:
@@ -48,6 +49,7 @@ class Actor:
         self._fresh_body = body_of(settings, fresh)
         check_frames(settings, self._body)
         world = self._body.world
+        settings.check_rewarded(world.rewarded)
         self._breakdowns = Breakdowns(world.id)
         interface = interface_of(settings, senses=world.senses, action_size=world.action_size)
         fingerprint = interface.fingerprint()

@@ -1,7 +1,7 @@
 """What the coordinator tells a person who asks, and whom it calls as witnesses of a stall (pure)."""
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -9,33 +9,38 @@ from protocol.messages import MAX_REPLY_CHARS, Status
 from services.coordinator.machine import best_of
 from services.coordinator.state import Plan, State, present
 from services.coordinator.waiting import waiting
-from services.runtime.settings import RunSettings
 
-MOST_SCORE_CHARS = MAX_REPLY_CHARS // 2
-"""The newest scores in one answer; all of them are in `scores.jsonl`."""
+Row = Mapping[str, Any]
+LIST_CHARS = MAX_REPLY_CHARS // 4
+"""Each of the three lists of an answer may take so much, and what else it tells far less."""
 MOST_WITNESSES = 4
 
 
-def describe(run: str, settings: RunSettings, plan: Plan, state: State, heard: Mapping[str, Status]) -> str:
-    """The answer to a describe command, as JSON."""
+def describe(run: str, plan: Plan, state: State, heard: Mapping[str, Status]) -> str:
+    """The answer to a describe command, as JSON that fits into a reply.
+
+    Of lists that are too long it has the first members and blocks, and the newest scores: all of them are in
+    `scores.jsonl`. `unlisted` says how many members are left out.
+    """
+    present_ones = sorted(present(state).items())
+    members = _fitting(_member(life, service, heard.get(life)) for life, service in present_ones)
+    newest = _fitting({"run": run, **asdict(row)} for row in reversed(state.scores))
     best = (best_of(state, block) for level in plan.levels for block in level)
-    members = sorted(present(state).items())
     return json.dumps(
         {
             "run": run,
             "phase": state.phase.value,
             "evaluates": None if state.evaluates is None else state.evaluates.value,
             "level": state.level,
-            "levels": plan.levels,
             "iteration": state.iteration,
             "iterations": plan.iterations,
             "term": state.term,
             "waiting": waiting(plan, state),
             "stalled": state.stalled,
-            "members": [_member(life, service, heard.get(life)) for life, service in members],
-            "scores": _newest_scores(run, state),
-            "best": [asdict(kept) for kept in best if kept is not None],
-            "settings": settings.model_dump(mode="json"),
+            "members": members,
+            "unlisted": len(present_ones) - len(members),
+            "scores": newest[::-1],
+            "best": _fitting(asdict(kept) for kept in best if kept is not None),
         }
     )
 
@@ -54,19 +59,19 @@ def witnesses(state: State, heard: Iterable[Status]) -> list[str]:
     return said[:MOST_WITNESSES]
 
 
-def _newest_scores(run: str, state: State) -> list[dict[str, Any]]:
-    """As many of the newest rows as there is room for, in their order."""
-    rows: list[dict[str, Any]] = []
+def _fitting(rows: Iterable[Row]) -> Sequence[Row]:
+    """As many of the first rows as there is room for."""
+    fitting: list[Row] = []
     chars = 0
-    for row in reversed(state.scores):
-        rows.insert(0, {"run": run, **asdict(row)})
-        chars += len(json.dumps(rows[0]))
-        if chars > MOST_SCORE_CHARS:
-            return rows[1:]
-    return rows
+    for row in rows:
+        chars += len(json.dumps(row)) + len(", ")
+        if chars > LIST_CHARS:
+            break
+        fitting.append(row)
+    return fitting
 
 
-def _member(life: str, service: str, status: Status | None) -> dict[str, Any]:
+def _member(life: str, service: str, status: Status | None) -> Row:
     member: dict[str, Any] = {"life": life, "service": service}
     if status is not None:
         member |= {

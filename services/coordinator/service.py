@@ -239,7 +239,7 @@ class CoordinatorService:
             self._decide(StopRequested(now=now_secs))
             self._reply(question, command.id, ok=True, text=waiting(self._plan, self._state))
         elif command.name == "describe":
-            text = describe(self._run, self._settings, self._plan, self._state, self._heard)
+            text = describe(self._run, self._plan, self._state, self._heard)
             self._reply(question, command.id, ok=True, text=text)
         else:
             assert_never(command.name)

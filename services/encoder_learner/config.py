@@ -6,8 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from babble.blocks import BlockTree
+from babble.encoder.network import weight_bytes
 from babble.memory import bytes_per_step
 from babble.observations import Layout, Senses, part_of
+from protocol.keys import MAX_FRAME_BYTES
 from protocol.messages import Phase
 from services.runtime.settings import EncoderSettings, FitSettings, RunSettings, SettingsError
 
@@ -17,6 +19,8 @@ FITS = frozenset({Phase.ENCODE, Phase.REFINE})
 MOST_BYTES = 8 * 10**9
 """What the held experience may take, with the copy of it that each checkpoint makes."""
 COPIES = 2
+HEADER_BYTES = 64 << 10
+"""More than enough for what a frame and an ONNX file hold besides the weights."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +73,21 @@ def check_memory(configs: Iterable[EncoderWorkConfig]) -> None:
             f"a phase (most for block {most!r}), over its limit of {MOST_BYTES / 1e9:.0f} GB; lower "
             "phases.babble_steps and phases.walk_steps, or the resolution of the world's senses"
         )
+
+
+def check_models(configs: Iterable[EncoderWorkConfig]) -> None:
+    """Raises `SettingsError` where a block's encoder would be larger than a frame may be."""
+    for config in configs:
+        encoder = config.encoder
+        needed = weight_bytes(
+            config.senses, config.latent_dim, encoder.hidden, vision_features=encoder.vision_features
+        )
+        if needed > MAX_FRAME_BYTES - HEADER_BYTES:
+            raise SettingsError(
+                f"the encoder of block {config.block} would have {needed / 1e6:,.1f} MB, and a frame holds "
+                f"{MAX_FRAME_BYTES / 1e6:.1f} MB; lower encoder.hidden or "
+                "encoder.vision_features, or the resolution of the world's senses"
+            )
 
 
 def _senses_of(tree: BlockTree, senses: Senses, block: str) -> Senses:

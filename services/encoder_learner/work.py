@@ -12,11 +12,15 @@ from babble.encoder.training import EncoderTrainer
 from babble.memory import EPISODES, ExperienceMemory
 from protocol.messages import Phase, PhaseAnnounced, Progress, Score, Segment
 from services.encoder_learner.config import COLLECTS, FITS, EncoderWorkConfig
+from services.runtime.clock import Clock
+from services.runtime.errors import UserError
 from services.runtime.intake import Want
 from services.runtime.models import ModelKind, ModelOffer
 
-UPDATES_PER_QUANTUM = 25
-"""Updates between two looks at the inbox: some 50 ms."""
+QUANTUM_UPDATES = 25
+"""Updates between two looks at the inbox, at most: some 50 ms without vision."""
+QUANTUM_SECS = 0.1
+"""No update is begun so long after the first one: with vision too, acks and heartbeats keep flowing."""
 
 
 class EncoderWork:
@@ -24,9 +28,11 @@ class EncoderWork:
 
     kind: ModelKind = "encoder"
 
-    def __init__(self, config: EncoderWorkConfig) -> None:
+    def __init__(self, config: EncoderWorkConfig, clock: Clock) -> None:
+        """The clock only says when to look at the inbox again; nothing that is learned depends on it."""
         self.block = config.block
         self._config = config
+        self._clock = clock
         self._memory = ExperienceMemory(config.senses)
         # Made at once: a process's first optimiser costs torch seconds, which pass while actors babble.
         self._trainer = _new_trainer(config)
@@ -49,6 +55,7 @@ class EncoderWork:
             self._streams.clear()
         elif announced.phase in FITS:
             fit = self._config.fit(announced.phase)
+            self._check_pairs(fit.updates)
             self._updates_done = 0
             self._fitted = False
             if not self._scaled:
@@ -83,14 +90,9 @@ class EncoderWork:
         if self._phase not in FITS:
             return False
         wanted = self._config.fit(self._phase).updates
-        count = min(UPDATES_PER_QUANTUM, wanted - self._updates_done)
+        count = min(QUANTUM_UPDATES, wanted - self._updates_done)
         if count > 0:
-            self._metrics = {
-                f"{self.block}/encoder/{name}": value
-                for name, value in self._trainer.update(self._memory, count).items()
-            }
-            self._updates_done += count
-            self._updates_total += count
+            self._update(count)
         if self._updates_done < wanted:
             return True
         if not self._fitted:
@@ -175,8 +177,32 @@ class EncoderWork:
         if saved["onnx"] is not None:
             self._offer = self._as_offer(saved["onnx"])
 
+    def _check_pairs(self, updates: int) -> None:
+        """Raises `UserError` where there is nothing to contrast with one another."""
+        if updates and not self._memory.has_pairs:
+            raise UserError(
+                f"the encoder of block {self.block} learns from steps that follow one another, and no "
+                "episode that it was sent has two; give the world longer episodes (episode_steps)"
+            )
+
+    def _update(self, count: int) -> None:
+        """Up to so many updates, fewer where they take long."""
+        began_secs, before = self._clock.now_secs(), self._trainer.updates_done
+        found = self._trainer.update(
+            self._memory, count, lambda: self._clock.now_secs() - began_secs >= QUANTUM_SECS
+        )
+        self._metrics = {f"{self.block}/encoder/{name}": value for name, value in found.items()}
+        done = self._trainer.updates_done - before
+        self._updates_done += done
+        self._updates_total += done
+
     def _end_fit(self, phase: Phase) -> None:
-        """Blend (eq. 13; the first fit has nothing to blend with) and make the next version."""
+        """Blend (eq. 13; the first fit has nothing to blend with) and make the next version.
+
+        What it was fitted on is let go: the next fit has a walk of its own, and checkpoints stay small.
+        """
+        self._memory.clear()
+        self._streams.clear()
         self._trainer.end_fit(blend=1.0 if phase is Phase.ENCODE else self._config.encoder.blend)
         self._fitted = True
         self._version += 1

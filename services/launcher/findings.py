@@ -91,7 +91,7 @@ def _posture(mean: NDArray[np.floating], world: World) -> str:
     """A place, or where each joint is in its range."""
     if isinstance(world, PointWorld):
         return _point(mean)
-    names = posture_names(world)
+    names = world.posture_names
     if len(mean) > MOST_NUMBERS:
         return (
             f"a posture of {len(mean)} joints between {mean.min():.2f} and {mean.max():.2f} "
@@ -123,11 +123,6 @@ def _named(row: Score) -> list[str]:
     return lines
 
 
-def posture_names(world: World) -> Sequence[str]:
-    """The names of a posture's numbers; empty where they have none."""
-    return tuple(getattr(world, "posture_names", ()))
-
-
 def _ends(rollout: Rollout, block: str, latent_dim: int) -> "Ends":
     from services.launcher.figures import Ends
 
@@ -155,7 +150,7 @@ def _pictures(
     name = f"{run.settings.world.id}, block {version.block}, iteration {version.iteration}"
     if isinstance(world, PointWorld):
         return _pictures_of_points(run, version, encoder, ends, world, name)
-    return _pictures_of_postures(run, version, ends, rollout, posture_names(world), name)
+    return _pictures_of_postures(run, version, ends, rollout, world.posture_names, name)
 
 
 def _pictures_of_points(

@@ -22,6 +22,9 @@ COLUMNS = (
     ("external_reward", "reward", 8),
 )
 """Of a row: field, head and width. Of several landmarks the least is shown."""
+TABLE_WIDTH = 60
+LEFT_OUT = ("z_goal", "switch_success", "separation")
+"""Where all would be wider than that: what success is not asked of, one after the other."""
 MOST_ACTORS = 8
 MOST_ROWS = 8
 MOST_ERRORS = 3
@@ -81,11 +84,11 @@ def score_words(row: Row) -> str:
 def score_table(rows: Sequence[Row], *, newest: int | None = None) -> list[str]:
     """All scores in lines of at most 60 characters, block by block; or only the newest."""
     shown = rows if newest is None else rows[-newest:]
-    columns = [column for column in COLUMNS if any(_measure(row, column[0]) is not None for row in shown)]
+    columns = _columns(shown)
     blocks = list(dict.fromkeys(str(row["block"]) for row in shown))
     lines = ["  ".join([f"{'iter':>4}", f"{'policy':<7}", *(f"{head:>{size}}" for _, head, size in columns)])]
     for block in blocks:
-        lines += [f"{block}:"] if len(blocks) > 1 else []
+        lines += [f"{block[: TABLE_WIDTH - 1]}:"] if len(blocks) > 1 else []
         lines += [_score_line(row, columns) for row in shown if row["block"] == block]
     return lines
 
@@ -193,8 +196,17 @@ def _total_rate(picture: Picture, now_secs: float) -> float:
     return sum(member.speed.per_sec(now_secs) or 0.0 for member in alive)
 
 
+def _columns(rows: Sequence[Row]) -> list[tuple[str, str, int]]:
+    """What the rows have, and there is room for."""
+    columns = [column for column in COLUMNS if any(_measure(row, column[0]) is not None for row in rows)]
+    for least in LEFT_OUT:
+        if len("iter  sampled") + sum(2 + size for _, _, size in columns) > TABLE_WIDTH:
+            columns = [column for column in columns if column[0] != least]
+    return columns
+
+
 def _score_line(row: Row, columns: Iterable[tuple[str, str, int]]) -> str:
-    cells = [f"{_number(_measure(row, name)):>{size}}" for name, _, size in columns]
+    cells = [f"{_number(_measure(row, name), size):>{size}}" for name, _, size in columns]
     return "  ".join([f"{row['iteration']:>4}", f"{row['policy']!s:<7}", *cells])
 
 
@@ -207,8 +219,12 @@ def _landmarks(row: Row) -> Mapping[str, float]:
     return shares if isinstance(shares, Mapping) else {}
 
 
-def _number(value: object) -> str:
-    return f"{value:.3f}" if isinstance(value, int | float) else "-"
+def _number(value: object, size: int = 8) -> str:
+    """With three digits after the point, as far as there is room."""
+    if not isinstance(value, int | float):
+        return "-"
+    texts = (f"{value:.{digits}f}" for digits in (3, 2, 1, 0))
+    return next((text for text in texts if len(text) <= size), f"{value:.0e}")
 
 
 def _wrapped(text: str, width: int, *, most: int) -> list[str]:

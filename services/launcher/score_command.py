@@ -9,7 +9,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from babble.noise import make_noise
+from babble.noise import Noise, make_noise
 from babble.scores import REACHED
 from babble.worlds import World
 from protocol.messages import Phase, Score
@@ -27,6 +27,7 @@ from services.launcher.evaluate import (
     score_columns,
     shortfalls,
 )
+from services.runtime.settings import RunSettings
 
 LEARNER_PACKAGES = frozenset({"torch", "stable_baselines3", "onnx"})
 HEADS = {
@@ -137,7 +138,31 @@ def _train_control(opened: Run, block: str, seed: int) -> Models:
     settings, phases = opened.settings, opened.settings.phases
     world = opened.world(settings.policy.rollout_columns, [seed, 6, 2])
     _check_whole_body(opened, world)
-    noise = make_noise(
+    ppo = settings.policy.model_dump(exclude={"rollout_columns", "max_policy_lag"})
+    try:
+        # The body may break down, and a sense may find only now that it has no renderer.
+        encoder, policy = train_on_untrained_encoder(
+            world,
+            settings.one_block(block).latent_dim,
+            noise=_babbling(settings, world, seed),
+            walk_steps=phases.babble_steps,
+            train_steps=phases.ground_steps + phases.iterations * phases.practise_steps,
+            goal_period_steps=settings.goals.period_steps,
+            encoder_hidden=tuple(settings.encoder.hidden),
+            vision_features=settings.encoder.vision_features,
+            seed=seed,
+            steps=settings.actors.segment_steps,
+            reward_form=settings.goals.reward,
+            **settings.goals.model_dump(include={"sparse_radius", "goal_weight", "external_weight"}),
+            **ppo,
+        )
+    except ValueError as error:
+        raise RunError(f"the control of {opened.shown} cannot be trained here: {error}") from None
+    return Models(encoder, policy)
+
+
+def _babbling(settings: RunSettings, world: World, seed: int) -> Noise:
+    return make_noise(
         settings.babbling.kind,
         scale=settings.babbling.scale,
         columns=world.columns,
@@ -146,22 +171,6 @@ def _train_control(opened: Run, block: str, seed: int) -> Models:
         correlation=settings.babbling.correlation,
         hold_steps=settings.babbling.hold_steps,
     )
-    ppo = settings.policy.model_dump(exclude={"rollout_columns", "max_policy_lag"})
-    encoder, policy = train_on_untrained_encoder(
-        world,
-        settings.one_block(block).latent_dim,
-        noise=noise,
-        walk_steps=phases.babble_steps,
-        train_steps=phases.ground_steps + phases.iterations * phases.practise_steps,
-        goal_period_steps=settings.goals.period_steps,
-        encoder_hidden=tuple(settings.encoder.hidden),
-        seed=seed,
-        steps=settings.actors.segment_steps,
-        reward_form=settings.goals.reward,
-        **settings.goals.model_dump(include={"sparse_radius", "goal_weight", "external_weight"}),
-        **ppo,
-    )
-    return Models(encoder, policy)
 
 
 def _check_whole_body(opened: Run, world: World) -> None:

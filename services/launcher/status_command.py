@@ -76,6 +76,7 @@ def status_lines(told: Mapping[str, Any]) -> list[str]:
     lines = [f"run {told['run']}: {phase}{rounds}, term {told['term']}"]
     lines += [told["waiting"]] if told["waiting"] else []
     lines += ["", *(_member(member) for member in told["members"])]
+    lines += [f"and {told['unlisted']:,} more"] if told["unlisted"] else []
     if told["scores"]:
         best = {row["block"]: row for row in told["best"]}
         lines += ["", *score_table(told["scores"]), *best_words(best)]

@@ -2,16 +2,14 @@
 
 import torch
 
-from babble.blocks import BlockTree
+from babble.bodies import make_body
 from babble.scores import landmarks_of
-from babble.worlds import make
-from babble.worlds.batch import World
 from services.policy_learner.config import work_config
 from services.policy_learner.work import PolicyWork
 from services.runtime.interface import interface_of
 from services.runtime.learner import Learner
 from services.runtime.process import Context
-from services.runtime.settings import RunSettings, SettingsError
+from services.runtime.settings import SettingsError
 
 SERVICE = "policy_learner"
 
@@ -19,11 +17,16 @@ SERVICE = "policy_learner"
 def build(context: Context) -> Learner:
     """The policy learner of a run, resumed from its checkpoint if there is one.
 
-    Raises `SettingsError` for a world or blocks that cannot be.
+    Raises `SettingsError` for a world or blocks that cannot be, or a reward that there is not.
     """
     torch.set_num_threads(1)
     settings = context.settings
-    world, tree = _world_and_tree(settings)
+    wanted = settings.world
+    try:
+        world, tree = make_body(wanted.id, wanted.parameters, settings.block, columns=1, seed=0)
+    except ValueError as error:
+        raise SettingsError(str(error)) from None
+    settings.check_rewarded(world.rewarded)
     works = [
         PolicyWork(
             work_config(
@@ -42,11 +45,3 @@ def build(context: Context) -> Learner:
     ]
     interface = interface_of(settings, senses=world.senses, action_size=world.action_size)
     return Learner(context, works, service=SERVICE, fingerprint=interface.fingerprint())
-
-
-def _world_and_tree(settings: RunSettings) -> tuple[World, BlockTree]:
-    try:
-        world = make(settings.world.id, settings.world.parameters, columns=1, seed=0)
-        return world, BlockTree.of(settings.block, world.observation_size, world.action_size)
-    except (ValueError, TypeError) as error:
-        raise SettingsError(str(error)) from None

@@ -18,4 +18,4 @@ class SpoolError(UserError):
 
 
 class CheckpointError(UserError):
-    """There are checkpoints, and none of them can be read."""
+    """There are checkpoints, and none of them can be read, or gone on from."""

@@ -7,7 +7,8 @@ run (terms, acknowledgements, checkpoints, status) is here and the same for all 
 import json
 import logging
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pickle import UnpicklingError
 from typing import Any
 
 from protocol import keys
@@ -255,14 +256,14 @@ class Learner:
             raise CheckpointError(
                 f"{self._folder} holds checkpoints of another service; give each its own folder"
             )
-        book = json.loads(payload["book"])
-        self._intake.restore(book["ledger"])
-        self._received, self._stale = book["received"], book["stale"]
-        if book["announced"] is not None:
-            self._announced = PhaseAnnounced.model_validate(book["announced"], strict=False)
-        for block, work in self._works.items():
-            if f"work/{block}" in payload:
-                work.restore(payload[f"work/{block}"])
+        try:
+            self._restore(payload)
+        except (KeyError, TypeError, ValueError, AttributeError, RuntimeError, UnpicklingError) as error:
+            # Its bytes are those that were saved, so another program wrote them, or other settings hold now.
+            raise CheckpointError(
+                f"the checkpoint {self._generation} in {self._folder} was written by another version of "
+                "Babble, or with other settings; go on with those, or start a new run"
+            ) from error
         replayed = 0
         for segment in self._intake.replay(self._generation):
             replayed += 1
@@ -273,6 +274,17 @@ class Learner:
                     pass
         log.info("resumed checkpoint %d and %d segments from the spool", self._generation, replayed)
         self._publish_models()
+
+    def _restore(self, payload: Mapping[str, bytes]) -> None:
+        """Become what `_checkpoint` saved. Raises whatever comes of what this version never saves."""
+        book = json.loads(payload["book"])
+        self._intake.restore(book["ledger"])
+        self._received, self._stale = book["received"], book["stale"]
+        if book["announced"] is not None:
+            self._announced = PhaseAnnounced.model_validate(book["announced"], strict=False)
+        for block, work in self._works.items():
+            if f"work/{block}" in payload:
+                work.restore(payload[f"work/{block}"])
 
     def _report(self) -> dict[str, Any]:
         works = self._works.values()

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from protocol.messages import ALL_BLOCKS, Name
+from protocol.messages import ALL_BLOCKS, MAX_STEPS, Name
 from services.runtime.errors import UserError
 
 Positive = Annotated[int, Field(ge=1)]
@@ -206,6 +206,28 @@ class RunSettings(Section):
                 "(policy.max_policy_lag + 1), or part of every segment would be too old to learn from"
             )
         return self
+
+    @model_validator(mode="after")
+    def _evaluations_are_one_segment(self) -> "RunSettings":
+        legs, leg_steps = self.evaluation.legs, self.evaluation.leg_steps
+        if legs * leg_steps > MAX_STEPS:
+            raise ValueError(
+                f"evaluation.legs x evaluation.leg_steps may be at most {MAX_STEPS:,}, the steps of one "
+                f"segment; got {legs:,} x {leg_steps:,}"
+            )
+        return self
+
+    def check_rewarded(self, rewarded: bool) -> None:
+        """Raise `SettingsError` if a reward is weighed that the world never gives.
+
+        `rewarded`: it has a task, and so a reward of its own.
+        """
+        weight = self.goals.external_weight
+        if weight != 0 and not rewarded:
+            raise SettingsError(
+                f"goals.external_weight is {weight:g}, and the world {self.world.id} has no reward of its "
+                "own to weigh; leave it out, or choose a world with a task"
+            )
 
     def one_block(self, name: str) -> BlockSettings:
         """The settings of the named block. Raises KeyError for an unknown one."""

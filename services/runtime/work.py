@@ -9,7 +9,7 @@ from services.runtime.models import ModelKind, ModelOffer
 
 
 class Work(Protocol):
-    """One block's learning, without wire, clock or disk."""
+    """One block's learning, without wire or disk, and whatever the clock says."""
 
     block: str
     kind: ModelKind

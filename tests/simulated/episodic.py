@@ -20,6 +20,8 @@ class EpisodicWorld:
     posture_size = 1
     diameter = 2.0
     crossing_axis = None
+    posture_names: tuple[str, ...] = ()
+    rewarded = True
     senses: Mapping[str, tuple[int, ...]] = {"place": (1,), "age": (1,)}
     landmarks = (Landmark("left", ((0,),), -1.0, -0.8), Landmark("right", ((0,),), 0.8, 1.0))
 
@@ -62,9 +64,6 @@ class EpisodicWorld:
 
     def posture(self) -> Floats:
         return self._place[:, None].astype(np.float32)
-
-    def uniform_points(self, count: int, rng: np.random.Generator) -> Floats:
-        return rng.uniform(-1, 1, (count, 2)).astype(np.float32)
 
     def _observation(self) -> Floats:
         return np.stack([self._place, self._age / 100], axis=1).astype(np.float32)

@@ -146,7 +146,7 @@ def test_experience_without_the_reward_that_is_trained_on_is_refused_by_name(
     [
         ({"actors": {"envs_per_actor": 4096, "segment_steps": 4096}}, r"babble or walk of .* 201\.3 MB"),
         (
-            {"evaluation": {"legs": 2_000_000}},
+            {"evaluation": {"legs": 400_000, "leg_steps": 1}, "actors": {"envs_per_actor": 16}},
             r"evaluate of .* lower actors\.envs_per_actor or evaluation\.legs",
         ),
     ],
@@ -172,6 +172,26 @@ def test_a_sense_without_a_renderer_is_one_sentence(
 
 
 @pytest.mark.parametrize("service", ["actor", "policy_learner"])
+def test_a_weight_for_a_reward_that_there_is_not_is_refused_at_the_start(
+    tiny: RunSettings, simulate: Simulate, service: str
+) -> None:
+    goals = tiny.goals.model_copy(update={"external_weight": 0.5})
+    simulation = simulate(tiny.model_copy(update={"goals": goals}))
+    with pytest.raises(SettingsError, match=r"goals\.external_weight is 0\.5, .* Cuboid has no reward"):
+        simulation.start(service, f"{service}-0")
+
+
+def test_without_a_task_no_reward_is_sent_and_none_is_scored(tiny: RunSettings, simulate: Simulate) -> None:
+    simulation = simulate(tiny)
+    simulation.start_all(actors=1)
+    simulation.until_all_ended()
+    evaluated = simulation.segments(Phase.EVALUATE)
+    assert evaluated
+    assert all("external_reward" not in segment.arrays for segment in evaluated)
+    assert all(row["external_reward"] is None for row in scores_of(simulation.run_dir))
+
+
+@pytest.mark.parametrize("service", ["actor", "encoder_learner", "policy_learner"])
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from services.runtime.checkpoint import Checkpoints
 from services.runtime.errors import CheckpointError
 from services.runtime.memory_bus import Faults, MemoryBus
 from services.runtime.settings import RunSettings
@@ -145,6 +146,29 @@ def test_a_learner_that_lost_what_the_run_stands_on_says_so_and_ends(
     simulation.start(learner, f"{learner}-reborn")
     with pytest.raises(CheckpointError, match=r"the run needs (encoder 2|policy \d+) of body"):
         simulation.until_all_ended()
+
+
+@pytest.mark.parametrize("learner", ["encoder_learner", "policy_learner"])
+def test_a_checkpoint_of_another_version_or_other_settings_is_one_sentence(
+    tiny: RunSettings, simulate: Simulate, learner: str
+) -> None:
+    simulation = simulate(tiny)
+    simulation.start_all(actors=1)
+    simulation.until(lambda: phase_of(simulation.run_dir) == "ground")
+    simulation.crash(f"{learner}-0")
+    checkpoints = Checkpoints(simulation.run_dir / "checkpoints" / learner)
+    generation, payload = checkpoints.newest() or (0, {})
+    assert isinstance(payload, dict)
+    old_book = {name: value for name, value in json.loads(payload["book"]).items() if name != "stale"}
+    section = getattr(tiny, learner.partition("_")[0])
+    wider = tiny.model_copy(update={learner.partition("_")[0]: section.model_copy(update={"hidden": [16]})})
+    for settings, parts in ((wider, payload), (tiny, {**payload, "book": json.dumps(old_book).encode()})):
+        checkpoints.save(generation := generation + 1, parts)
+        simulation.settings = settings
+        with pytest.raises(CheckpointError, match="another version of Babble, or with other") as said:
+            simulation.start(learner, f"{learner}-{generation}")
+        assert "start a new run" in str(said.value)
+        assert "\n" not in str(said.value)
 
 
 def test_an_encoder_lost_with_its_checkpoint_is_fitted_again_before_the_run_goes_on(

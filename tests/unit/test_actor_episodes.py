@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from babble.blocks import BlockTree
 from babble.breakdowns import MOST_IN_A_ROW, Breakdowns, UnstableError
 from protocol.messages import Phase
 from services.actor.collect import SegmentCollector, ways_of
@@ -35,7 +36,8 @@ class Acting:
     def __init__(self, phase: Phase, settings: RunSettings | None = None, **parameters: Any) -> None:
         settings = settings or settings_of()
         self.world = EpisodicWorld(COLUMNS, np.random.default_rng(0), **parameters)
-        self.body = Body.of(self.world, settings)
+        tree = BlockTree.of(settings.block, self.world.observation_size, self.world.action_size)
+        self.body = Body.of(self.world, tree)
         self.breakdowns = Breakdowns("Episodic")
         self.shelf = Shelf(["body"])
         self.shelf.put(1, actuators=1)
@@ -155,6 +157,7 @@ def test_an_evaluation_in_which_a_column_breaks_down_begins_again() -> None:
     for name, array in second.arrays.items():
         assert np.isfinite(array).all(), name
     assert second.arrays["posture"].shape == (3, COLUMNS, 1)
+    assert second.first_step == 18 + 7, "the steps that were for nothing count too"
     assert acting.collector.env_steps == acting.world.steps * COLUMNS
 
 

@@ -1,14 +1,17 @@
 """Which iteration of a block is kept."""
 
 import random
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.coordinator.best import best, meets_bar, reason, weakest
+from protocol.messages import Score
+from services.coordinator.best import best, measures, meets_bar, reason, weakest
 from services.coordinator.table import Phase
 from services.coordinator.words import ScoreRow
+from services.launcher import evaluate
+from services.launcher.evaluate import shortfalls
 
 ROW = ScoreRow(
     block="body",
@@ -25,6 +28,9 @@ ROW = ScoreRow(
     encoder_version=2,
     policy_version=20,
 )
+
+
+SHARES = st.sampled_from([0.0, 0.8999, 0.9, 1.0]) | st.floats(0, 1)
 
 
 def row(iteration: int, separation: float, z_min: float, **changes: object) -> ScoreRow:
@@ -82,6 +88,21 @@ def test_the_reason_names_the_iteration_and_its_weakest_score() -> None:
     assert (
         reason(row(2, 0.4, 0.95)) == "no iteration meets every bar of 0.9; nearest is iteration 2 with 0.400"
     )
+
+
+@given(
+    separation=SHARES,
+    z_min=SHARES,
+    crossing=st.none() | SHARES,
+    landmarks=st.dictionaries(st.sampled_from(["open", "closed"]), SHARES),
+)
+def test_coordinator_and_launcher_ask_the_same_of_a_success(
+    separation: float, z_min: float, crossing: float | None, landmarks: dict[str, float]
+) -> None:
+    ours = row(1, separation, z_min, crossing=crossing, landmarks=landmarks)
+    theirs = Score(run="r", **asdict(ours))
+    assert meets_bar(ours) == (not shortfalls(theirs))
+    assert measures(ours) == tuple(evaluate.measures(theirs).values())
 
 
 @given(

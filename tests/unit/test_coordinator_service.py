@@ -9,11 +9,11 @@ import pytest
 
 from protocol import keys
 from protocol.codec import decode
-from protocol.messages import MAX_REPLY_CHARS, Phase, Reply
+from protocol.messages import ALL_BLOCKS, MAX_REPLY_CHARS, Phase, Reply, Status
 from services.coordinator.report import describe
-from services.coordinator.state import State
+from services.coordinator.state import Member, State
+from services.launcher.status_command import status_lines
 from services.runtime.errors import StorageError
-from services.runtime.settings import parse
 from tests.unit.coordinator_play import FLAT, score
 from tests.unit.coordinator_stage import RUN, Stage
 
@@ -182,8 +182,8 @@ def test_describe_tells_who_is_there_and_what_it_waits_for(stage: Stage) -> None
     told = stage.describe()
     assert told["waiting"] == "waiting for encoder_learner: 40 of 100 steps of body"
     assert {member["service"] for member in told["members"]} == {"actor", "encoder_learner", "policy_learner"}
-    assert told["settings"]["phases"]["iterations"] == 1
-    assert (told["run"], told["phase"], told["iteration"]) == (RUN, "babble", 0)
+    assert (told["run"], told["phase"], told["iteration"], told["iterations"]) == (RUN, "babble", 0, 1)
+    assert told["unlisted"] == 0
 
 
 def test_describe_answers_with_the_newest_scores_however_many_there_are() -> None:
@@ -194,11 +194,41 @@ def test_describe_answers_with_the_newest_scores_however_many_there_are() -> Non
         external_reward_by_vertex=(1 / 3,) * 64,
     )
     state = replace(state, scores=tuple(replace(row, iteration=number) for number in range(2000)))
-    text = describe(RUN, parse({"scenario": "test"}, origin="test"), FLAT, state, {})
+    text = describe(RUN, FLAT, state, {})
     assert len(text) <= MAX_REPLY_CHARS
     told = [told["iteration"] for told in json.loads(text)["scores"]]
-    assert len(told) > 50
+    assert len(told) > 30
     assert told == list(range(2000 - len(told), 2000))
+
+
+def test_describe_fits_into_a_reply_however_much_there_is_to_tell() -> None:
+    blocks = tuple(f"block-{number:056}" for number in range(256))
+    plan = replace(FLAT, levels=(blocks,))
+    lives = [f"actor-{number:056}" for number in range(300)]
+    state = State(term=1, phase=Phase.EVALUATE, members={life: Member(service="actor") for life in lives})
+    state = replace(state, scores=tuple(score(state, block) for block in blocks))
+    heard = {
+        life: Status(
+            run=RUN, term=1, block=ALL_BLOCKS, life=life, seq=0, service="actor",
+            totals={f"{number:0200}": number for number in range(256)}, last_error="é" * 2000,
+        )
+        for life in lives[1:]
+    }  # fmt: skip
+    text = describe(RUN, plan, state, heard)
+    assert len(text) <= MAX_REPLY_CHARS
+    told = json.loads(text)
+    assert told["members"][0]["life"] == lives[0]
+    assert len(told["members"]) + told["unlisted"] == 300
+    assert status_lines(told)[2 + 1 + len(told["members"])] == f"and {told['unlisted']} more"
+
+
+def test_blocks_with_long_lists_of_indices_do_not_keep_it_from_answering(stage: Stage) -> None:
+    observes = list(range(100_000))
+    block = stage.settings.block[0].model_copy(update={"observes": observes, "drives": [0]})
+    stage.settings = stage.settings.model_copy(update={"block": [block]})
+    stage.kill()
+    stage.start("coordinator-2")
+    assert stage.describe()["phase"] == "babble"
 
 
 def test_a_command_that_cannot_be_read_is_answered_with_a_failure(stage: Stage) -> None:

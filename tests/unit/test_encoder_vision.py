@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from babble.encoder.export import export_encoder
-from babble.encoder.network import Encoder
+from babble.encoder.network import Encoder, weight_bytes
 from babble.encoder.training import EncoderTrainer
 from babble.encoder.vision import Eyes
 from babble.memory import ExperienceMemory
@@ -111,3 +111,12 @@ def test_what_one_observes_besides_the_images_changes_the_latent_too():
     latents = encoder(observation).detach()[:, 0]
     assert torch.equal(latents[0], latents[4])
     assert (latents[1:4] - latents[0]).abs().min() > 1e-4
+
+
+def test_the_size_of_an_encoder_is_known_before_it_is_made():
+    before = torch.get_rng_state()
+    for senses, features in (({"touch": (300,)}, 32), ({"touch": (3,), "eyes": (2, 32, 16, 3)}, 9)):
+        known = weight_bytes(senses, 5, (40, 20), vision_features=features)
+        made = Encoder(senses, 5, (40, 20), vision_features=features, seed=0)
+        assert known <= len(export_encoder(made)) < known + 8_000
+    assert torch.equal(torch.get_rng_state(), before)

@@ -84,6 +84,7 @@ def test_status_tells_phase_members_and_scores() -> None:
         "term": 8,
         "waiting": "waiting for policy_learner",
         "members": [{"life": "actor-1", "totals": {"env_steps": 1234}, "versions": {"encoder/body": 2}}],
+        "unlisted": 1_200,
         "scores": [{**row, "switch_success": 1.0, "crossing": None}],
         "best": [{"block": "body", "iteration": 0, "reason": "iteration 0 is nearest"}],
     }
@@ -95,4 +96,5 @@ def test_status_tells_phase_members_and_scores() -> None:
     assert any(
         line.startswith("actor-1 ") and line.endswith("1,234 steps; encoder/body v2") for line in lines
     )
+    assert "and 1,200 more" in lines
     assert lines[-1] == "best of body: iteration 0 is nearest"

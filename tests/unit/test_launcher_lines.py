@@ -108,6 +108,22 @@ def test_the_score_table_fits_60_and_names_blocks_only_if_there_are_several() ->
     assert len(score_table([row(i) for i in range(9)], newest=4)) == 5
 
 
+@pytest.mark.parametrize("crossing", [None, 0.5])
+@pytest.mark.parametrize("landmarks", [{}, {"open": 1.0, "closed": 0.5}])
+@pytest.mark.parametrize("reward", [None, 0.25, -1234.5678, 3e30])
+def test_whatever_the_rows_have_the_score_table_is_never_wider_than_60(
+    crossing: float | None, landmarks: dict[str, float], reward: float | None
+) -> None:
+    rows = [
+        {**row(999, "sampled", crossing, block), "landmarks": landmarks, "external_reward": reward}
+        for block in ("arm", "b" * 64)
+    ]
+    table = score_table(rows)
+    assert max(map(len, table)) <= 60
+    asked = ["z_min", *(["crossing"] if crossing else []), *(["landmark"] if landmarks else ["separation"])]
+    assert set(asked) <= set(table[0].split()), "what success is asked of is always shown"
+
+
 def test_durations_and_cpu() -> None:
     assert [clock_words(secs) for secs in (-1, 42.4, 725, 3723)] == ["0:00", "0:42", "12:05", "1:02:03"]
     assert cpu_table({"router": 1.0, "actor-0": 2.25}) == [

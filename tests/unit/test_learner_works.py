@@ -13,6 +13,7 @@ from services.encoder_learner import config as encoder_config
 from services.encoder_learner.work import EncoderWork
 from services.policy_learner import config as policy_config
 from services.policy_learner.work import PolicyWork
+from services.runtime.clock import Clock, HandClock
 from services.runtime.settings import RunSettings, SettingsError, parse
 
 POSITION: Senses = {"position": (3,)}
@@ -63,9 +64,12 @@ def segment(phase: Phase, seq: int, rng: np.random.Generator, **header: Any) -> 
     )  # fmt: skip
 
 
-def new_encoder_work(settings: RunSettings, senses: Senses = POSITION) -> EncoderWork:
+def new_encoder_work(
+    settings: RunSettings, senses: Senses = POSITION, clock: Clock | None = None
+) -> EncoderWork:
     tree = BlockTree.of(settings.block, Layout(senses).size, 3)
-    return EncoderWork(encoder_config.work_config(settings, tree, senses, "body", 0))
+    config = encoder_config.work_config(settings, tree, senses, "body", 0)
+    return EncoderWork(config, clock or HandClock())
 
 
 def new_policy_work(settings: RunSettings) -> PolicyWork:
@@ -77,13 +81,22 @@ def new_policy_work(settings: RunSettings) -> PolicyWork:
     )
 
 
-def babbled(settings: RunSettings) -> EncoderWork:
-    work, rng = new_encoder_work(settings), np.random.default_rng(0)
+def babbled(settings: RunSettings, clock: Clock | None = None) -> EncoderWork:
+    work, rng = new_encoder_work(settings, clock=clock), np.random.default_rng(0)
     work.begin(announce(Phase.BABBLE, 1))
     for seq in range(2):
         assert work.take(segment(Phase.BABBLE, seq, rng, policy="random"))
     assert work.wanted_columns() == 0
     return work
+
+
+def walk(work: EncoderWork) -> None:
+    """The experience of a WALK, in which nothing of before is left."""
+    work.begin(announce(Phase.WALK, 5))
+    assert work.wanted_columns() == 8
+    rng = np.random.default_rng(7)
+    for seq in range(2):
+        assert work.take(segment(Phase.WALK, seq, rng).model_copy(update={"first_step": 8 * seq}))
 
 
 def finish(work: EncoderWork | PolicyWork) -> None:
@@ -113,7 +126,8 @@ def test_blending_lands_between_the_old_and_the_new_encoder() -> None:
         work.begin(announce(Phase.ENCODE, 2))
         finish(work)
         first = work.model()
-        work.begin(announce(Phase.REFINE, 3))
+        walk(work)
+        work.begin(announce(Phase.REFINE, 6))
         finish(work)
         second = work.model()
         assert first is not None
@@ -296,6 +310,18 @@ def test_experience_that_memory_cannot_hold_is_refused_at_the_start(
             encoder_config.check_memory(configs)
     else:
         encoder_config.check_memory(configs)
+
+
+@pytest.mark.parametrize(("hidden", "refused"), [(4000, False), (4200, True)])
+def test_an_encoder_that_no_frame_holds_is_refused_at_the_start(hidden: int, refused: bool) -> None:
+    settings = settings_of(encoder=TABLE["encoder"] | {"hidden": [hidden, hidden]})
+    tree = BlockTree.of(settings.block, 3, 3)
+    configs = [encoder_config.work_config(settings, tree, POSITION, "body", 0)]
+    if refused:
+        with pytest.raises(SettingsError, match=r"block body would have 70.7 MB, .* lower encoder\.hidden"):
+            encoder_config.check_models(configs)
+    else:
+        encoder_config.check_models(configs)
 
 
 @pytest.mark.parametrize("spoilt", [{"goal": 7}, {"latent": np.nan}, {"posture": np.inf}])

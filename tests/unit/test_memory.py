@@ -77,6 +77,19 @@ def test_an_episode_number_used_again_later_is_another_episode():
     assert {(a, p) for a, p in zip(anchor.ravel(), positive.ravel(), strict=True)} == {(0, 1), (2, 3), (4, 5)}
 
 
+def test_noise_about_nothing_is_not_blown_up():
+    memory = ExperienceMemory({"still": (3,), "moving": (1,)})
+    rng = np.random.default_rng(0)
+    observation = np.concatenate(
+        [1e-17 * rng.standard_normal((50, 2, 3)), rng.normal(size=(50, 2, 1))], axis=2
+    )
+    extend(memory, "a", observation, np.zeros((50, 2)))
+    scale = memory.scaling()[1]
+    np.testing.assert_array_equal(scale[:3], 1.0)
+    assert scale[3] == pytest.approx(1.0, abs=0.2)
+    assert scale[3] != 1.0
+
+
 def test_nothing_to_pair_is_said():
     memory = vectors(2)
     with pytest.raises(ValueError, match="empty"):

@@ -44,6 +44,9 @@ iterations = 1
 [actors]
 segment_steps = 16
 
+[encoder]
+vision_features = 7
+
 [policy]
 rollout_columns = 4
 epochs = 1
@@ -179,6 +182,7 @@ def test_a_control_that_passes_is_an_alarm(
     assert "the control passes (separation 1.00, z_min 1.00)" in capsys.readouterr().out
     assert budget["train_steps"] == 256 + 1 * 256
     assert budget["walk_steps"] == 64
+    assert budget["vision_features"] == 7
     assert (budget["steps"], budget["minibatch"]) == (16, 64)
 
 

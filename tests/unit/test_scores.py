@@ -138,6 +138,14 @@ def test_the_external_reward_is_the_mean_over_scored_legs_and_by_vertex():
     assert found["external_reward_by_vertex"] == [-0.5, 1.5, None]
 
 
+def test_a_task_that_gave_nothing_has_a_reward_of_nothing():
+    goal = np.array([[0, 1], [1, 0], [0, 1]])
+    legs = Legs(np.zeros((3, 2, 1)), one_hot(goal, 2), goal, external_reward=np.zeros((3, 2)))
+    found = score(legs, 1.0)
+    assert found["external_reward"] == 0.0
+    assert found["external_reward_by_vertex"] == [0.0, 0.0]
+
+
 def test_rewards_of_another_shape_are_refused():
     goal = np.zeros((3, 2), int)
     legs = Legs(np.zeros((3, 2, 1)), one_hot(goal, 2), goal, external_reward=np.zeros((3, 1)))

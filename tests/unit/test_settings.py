@@ -32,6 +32,10 @@ def test_each_shipped_scenario_is_valid_and_named_after_its_file(path: Path) -> 
         ({"goals": {"goal_weight": -1}}, r"goals\.goal_weight: .*greater than or equal to 0"),
         ({"goals": {"goal_weight": 0}}, "both 0, so nothing would be rewarded"),
         ({"goals": {"external_weight": float("inf")}}, r"goals\.external_weight: .*finite"),
+        (
+            {"evaluation": {"legs": 1024, "leg_steps": 1025}},
+            "legs x evaluation.leg_steps may be at most 1,048,576, .* got 1,024 x 1,025",
+        ),
         ({"seed": -1}, r"origin: seed: .*greater than or equal to 0"),
     ],
 )
