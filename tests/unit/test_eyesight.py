@@ -139,7 +139,7 @@ def test_what_is_seen_are_always_whole_numbers_of_a_byte(how: dict[str, float]) 
         ({"acuity_cpd": 0}, "acuity_cpd must be a number above 0"),
         ({"brightness": True}, "brightness must be a number from 0 to 10000"),
         ({"brightness": (1, 1, 1)}, "brightness has 3 numbers for 2 eyes"),
-        ({"closed_eyes": "eye_left"}, "closed_eyes is a list of names"),
+        ({"closed_eyes": "eye_left"}, "closed_eyes must be a list of texts"),
     ],
 )
 def test_a_wrong_value_gets_a_sentence(how: dict[str, Any], sentence: str) -> None:
