@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
+from functools import partial
 from typing import Any, ClassVar, Literal
 
 import gymnasium
@@ -23,7 +24,6 @@ from babble.worlds.senses.build import check_names, make_senses
 from babble.worlds.senses.degradation import Degradation
 from babble.worlds.senses.joints import Unit
 from babble.worlds.senses.rendering import View, picture
-from babble.worlds.senses.sense import Sense
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,27 +164,22 @@ def blueprint(
     sensors: Sequence[str] = (),
     landmarks: tuple[Landmark, ...] = (),
 ) -> Blueprint:
-    """The blueprint of a body whose model was built for it alone (its ranges and motors are changed).
+    """The blueprint of a body whose model was built for it alone: its ranges and motors are changed.
 
-    `joints` make up the posture and proprioception, `actuators` the action; `task` is made when the
-    model is as it will stay. Raises ValueError.
+    `joints` are posture and proprioception; `task` is made when the model stays as it is. Raises ValueError.
     """
     actuation = _actuated(model, parameters, joints, actuators)
-
-    def senses(actuation: Actuation, rng: np.random.Generator) -> Sequence[Sense]:
-        return make_senses(
-            model,
-            parameters.senses,
-            joints=joints,
-            actuation=actuation,
-            angles=parameters.angles,
-            sensors=sensors,
-            touch=parameters.touch,
-            vision=parameters.vision,
-            rng=rng,
-        )
-
     names = names_of(model, "joint")
+    senses = partial(
+        make_senses,
+        model,
+        parameters.senses,
+        joints=joints,
+        angles=parameters.angles,
+        sensors=sensors,
+        touch=parameters.touch,
+        vision=parameters.vision,
+    )
     return Blueprint(
         id=id,
         model=model,

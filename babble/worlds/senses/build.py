@@ -41,14 +41,14 @@ VISION_OPTIONS = ("cameras", "resolution", "shadows", *(given.name for given in 
 def make_senses(
     model: mujoco.MjModel,
     names: Sequence[str],
+    actuation: Actuation,
+    rng: np.random.Generator | None = None,
     *,
     joints: Indices,
-    actuation: Actuation,
     angles: Unit = "range",
     sensors: Sequence[str] = (),
     touch: Mapping[str, Any] | None = None,
     vision: Mapping[str, Any] | None = None,
-    rng: np.random.Generator | None = None,
 ) -> list[Sense]:
     """The named senses, in the given order.
 
@@ -57,7 +57,6 @@ def make_senses(
     eyes. Raises ValueError, in one sentence, for an unknown name or option and for a sense that the
     model lacks.
     """
-    check_names(names)
     made: list[Sense] = []
     for name in names:
         match name:
@@ -72,11 +71,9 @@ def make_senses(
             case "sensors":
                 made.append(Sensors(model, matching(names_of(model, "sensor"), sensors, "sensor")))
             case "touch":
-                check_table("touch", touch or {}, TOUCH_OPTIONS)
-                made.append(Touch(model, **(touch or {})))
+                made.append(Touch(model, **_known("touch", touch, TOUCH_OPTIONS)))
             case "vision":
-                check_table("vision", vision or {}, VISION_OPTIONS)
-                made.append(Vision(model, **(vision or {}), rng=rng))
+                made.append(Vision(model, **_known("vision", vision, VISION_OPTIONS), rng=rng))
             case _:
                 made.append(_of_type(model, name))
     return made
@@ -91,6 +88,12 @@ def check_names(names: Sequence[str]) -> None:
         )
     if unknown := [name for name in names if name not in SENSES]:
         raise ValueError(f"there is no sense {unknown[0]!r}; the senses are {', '.join(SENSES)}")
+
+
+def _known(name: str, options: Mapping[str, Any] | None, known: Sequence[str]) -> Mapping[str, Any]:
+    given = options or {}
+    check_table(name, given, known)
+    return given
 
 
 def _of_type(model: mujoco.MjModel, name: str) -> Sense:

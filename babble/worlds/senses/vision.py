@@ -44,8 +44,7 @@ class Vision:
         shadows: whether lights that cast shadows do.
         rng: for the noise of the eyes.
         eyesight: the fields of `Eyesight`, each for all eyes or one by one.
-
-        Raises ValueError, in one sentence, for a camera that the model lacks and for a bad value.
+        Raises ValueError for a camera that the model lacks and for a bad value.
         """
         eyes = matching(names_of(model, "camera"), cameras, "camera")
         names = [names_of(model, "camera")[eye] for eye in eyes]
