@@ -6,18 +6,14 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from babble.worlds.senses.screen import RendererError, screen
 from examples import pictures, vertices
 from tests.unit.analytic_run import encoder, policy, write_run
+from tests.unit.toy_room import skip_without_renderer
 
 
 @pytest.fixture(autouse=True)
 def _renderer() -> None:
-    try:
-        with screen.current():
-            pass
-    except RendererError as error:
-        pytest.skip(str(error))
+    skip_without_renderer()
 
 
 def test_every_body_and_world_is_drawn(tmp_path: Path) -> None:

@@ -1,9 +1,12 @@
 """A soft mechanical coupling of two joints, as between the fingers of a hand (thesis 4.2)."""
 
-from difflib import get_close_matches
+from collections.abc import Sequence
+from itertools import pairwise
 
 import mujoco
 import numpy as np
+
+from babble.worlds.physics.patterns import nearest
 
 
 def couple(
@@ -33,12 +36,19 @@ def couple(
     return tendon
 
 
+def couple_neighbours(spec: mujoco.MjSpec, joints: Sequence[str], stiffness_n_m: float) -> None:
+    """Couple each joint with the next one; nothing for a stiffness of 0."""
+    if stiffness_n_m:
+        for one, other in pairwise(joints):
+            couple(spec, one, other, stiffness_n_m)
+
+
 def _range(spec: mujoco.MjSpec, name: str) -> tuple[float, float]:
     """The lowest angle and the size of the range, in radians."""
     joint = spec.joint(name)
     if joint is None:
-        nearest = get_close_matches(name, [joint.name for joint in spec.joints], cutoff=0.0)
-        raise ValueError(f"the model has no joint {name!r} to couple; the nearest are {', '.join(nearest)}")
+        known = nearest([joint.name for joint in spec.joints], name, "joint")
+        raise ValueError(f"the model has no joint {name!r} to couple; {known}")
     low, high = np.radians(joint.range) if spec.compiler.degree else joint.range
     if not low < high:
         raise ValueError(f"joint {name!r} has no range of motion, so it cannot be coupled")

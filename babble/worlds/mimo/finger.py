@@ -5,13 +5,12 @@ spring between neighbouring joints couples them softly; `coupling = 0` leaves MI
 """
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
 from babble.landmarks import Landmark
 from babble.worlds.checks import check_choice, check_number
-from babble.worlds.mimo.coupling import couple
+from babble.worlds.mimo.coupling import couple_neighbours
 from babble.worlds.mimo.cuts import cut
 from babble.worlds.mimo.figures import load
 from babble.worlds.physics.env import BodyParameters, MujocoEnv, blueprint
@@ -69,9 +68,7 @@ class MimoFinger(MujocoEnv):
             joints=joints,
             contacts=parameters.contacts,
         )
-        if parameters.coupling:
-            for one, other in pairwise(joints):
-                couple(spec, one, other, parameters.coupling)
+        couple_neighbours(spec, joints, parameters.coupling)
         model = spec.compile()
         everything = np.arange(model.njnt)
         return blueprint(

@@ -9,7 +9,7 @@ import numpy as np
 
 from babble.landmarks import Landmark
 from babble.worlds.checks import check_choice, check_number
-from babble.worlds.mimo.coupling import couple
+from babble.worlds.mimo.coupling import couple, couple_neighbours
 from babble.worlds.mimo.cuts import cut
 from babble.worlds.mimo.figures import load
 from babble.worlds.mimo.finger import MOST_STIFFNESS, NEAR_LIMIT, flexion_joints
@@ -77,10 +77,8 @@ class MimoHand(MujocoEnv):
 
 
 def _couple(spec: mujoco.MjSpec, fingers: Sequence[Sequence[str]], parameters: HandParameters) -> None:
-    if parameters.finger_coupling:
-        for finger in fingers:
-            for one, other in pairwise(finger):
-                couple(spec, one, other, parameters.finger_coupling)
+    for finger in fingers:
+        couple_neighbours(spec, finger, parameters.finger_coupling)
     if parameters.coupling:
         for finger, neighbour in pairwise(fingers):
             shared = min(len(finger), len(neighbour))

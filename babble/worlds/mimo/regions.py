@@ -2,12 +2,12 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from typing import TypeVar
 
 from babble.worlds.mimo.anatomy import BodyFigures, Figures, LookFigures, MotorFigures, TendonFigures
 from babble.worlds.mimo.segments import ORIGIN, limb, plus, segment
 from babble.worlds.mimo.tables import Table, Vector
+from babble.worlds.physics.patterns import nearest
 
 ROOT = "mimo_location"
 """The body by which the whole infant is placed in the world."""
@@ -106,8 +106,8 @@ class _Reader:
 
     def _joint_named(self, name: str, row: Table, key: str) -> str:
         if name not in self.joints:
-            nearest = ", ".join(get_close_matches(name, sorted(self.joints), cutoff=0.0))
-            raise row.error(key, f"names {name!r}, which is no joint; the nearest are {nearest}")
+            known = nearest(sorted(self.joints), name, "joint")
+            raise row.error(key, f"names {name!r}, which is no joint; {known}")
         return name
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from babble.worlds.batch import Start
 from babble.worlds.checks import check_number
 from babble.worlds.mimo.figures import Figures
+from babble.worlds.mimo.scenes import set_angles
 from babble.worlds.physics.actuation import Indices
 from babble.worlds.physics.env import BodyParameters
 from babble.worlds.physics.patterns import matching, names_of
@@ -83,7 +84,6 @@ def moving(model: mujoco.MjModel, *, head_held: bool) -> tuple[Indices, Indices]
 def settled(model: mujoco.MjModel, angles_rad: Mapping[str, float], secs: float) -> NDArray[np.float64]:
     """(nq,) where a body without any drive is after so long, from the model's pose with these angles."""
     data = mujoco.MjData(model)
-    for name, angle in angles_rad.items():
-        data.joint(name).qpos[0] = angle
+    set_angles(model, data, angles_rad)
     mujoco.mj_step(model, data, round(secs / model.opt.timestep))
     return np.array(data.qpos)

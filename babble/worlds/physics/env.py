@@ -12,6 +12,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from babble.landmarks import Landmark
+from babble.observations import Layout
 from babble.worlds.batch import Floats
 from babble.worlds.checks import check_choice, check_count, check_flag, check_table
 from babble.worlds.physics.actuation import Actuation, Indices, Motors, balance
@@ -138,12 +139,11 @@ class MujocoEnv(gymnasium.Env[Floats, Floats]):
 
     def split(self, observation: Floats) -> dict[str, NDArray[np.float32]]:
         """An observation (..., n) by sense, each in its own shape (..., *shape)."""
-        parts, start = {}, 0
-        for name, shape in self._single.senses.items():
-            stop = start + int(np.prod(shape))
-            parts[name] = observation[..., start:stop].reshape(*observation.shape[:-1], *shape)
-            start = stop
-        return parts
+        layout = Layout(self._single.senses)
+        return {
+            name: observation[..., place].reshape(*observation.shape[:-1], *layout.senses[name])
+            for name, place in layout.slices.items()
+        }
 
     def render(self) -> NDArray[np.uint8] | None:
         """A picture (480, 640, 3) of the body, in render mode "rgb_array"."""
@@ -211,11 +211,8 @@ def _actuated(
 
 
 def _observation_space(senses: Mapping[str, tuple[int, ...]]) -> spaces.Box:
-    low, high = [], []
-    for shape in senses.values():
-        image, size = len(shape) == 4, int(np.prod(shape))
-        low.append(np.full(size, 0.0 if image else -np.inf))
-        high.append(np.full(size, 255.0 if image else np.inf))
-    return spaces.Box(
-        np.concatenate(low).astype(np.float32), np.concatenate(high).astype(np.float32), dtype=np.float32
-    )
+    layout = Layout(senses)
+    low, high = np.full((2, layout.size), [[-np.inf], [np.inf]], np.float32)
+    for image in layout.images:
+        low[layout.slices[image]], high[layout.slices[image]] = 0.0, 255.0
+    return spaces.Box(low, high, dtype=np.float32)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from babble.landmarks import Landmark
+from babble.observations import Layout
 from babble.worlds.batch import Flags, Floats, Start, Step
 from babble.worlds.physics.actuation import Actuation
 from babble.worlds.physics.task import Task
@@ -76,7 +77,7 @@ class MujocoWorld:
         self._senses = list(blueprint.senses(self._actuation, rng))
         self.senses = {sense.name: sense.shape for sense in self._senses}
         self.action_size = self._actuation.size
-        self.observation_size = sum(int(np.prod(shape)) for shape in self.senses.values())
+        self.observation_size = Layout(self.senses).size
         self._degraded = _degraded(blueprint, self.senses, columns, rng)
         self._qpos = self._model.jnt_qposadr[blueprint.joints]
         self._centre, self._half = centre_and_half_range(self._model, blueprint.joints)
