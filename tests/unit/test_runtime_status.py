@@ -85,8 +85,9 @@ def test_building_is_left_until_it_is_time() -> None:
 
 def test_the_process_measures_itself() -> None:
     before = process_metrics()
-    ballast = b"x" * 30_000_000
+    # Less would fit into what earlier tests gave back to malloc; so much is always mapped anew.
+    ballast = b"x" * 200_000_000
     after = process_metrics()
-    assert after["rss_mb"] - before["rss_mb"] > 20
+    assert after["rss_mb"] - before["rss_mb"] > 150
     assert after["cpu_secs"] >= before["cpu_secs"]
-    assert len(ballast) == 30_000_000
+    assert len(ballast) == 200_000_000
