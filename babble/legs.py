@@ -13,6 +13,24 @@ from babble.worlds.batch import Step, World
 
 Floats = NDArray[np.float32]
 Mode = Literal["sampled", "mean"]
+Seen = tuple[Floats, Floats]
+"""What a block acts on: its latent and its goal, each (E, d)."""
+
+
+class Witness:
+    """Looks on while worlds are stepped, for people; this one never looks. It changes nothing it sees."""
+
+    looking = False
+    """Whether the next step is to be seen."""
+
+    def see(self, observation: Floats, seen: Mapping[str, Seen | None]) -> None:
+        """Before each step that is looked at: the world's observation (E, n), and what each block acts on.
+
+        None for a block that acts without a latent.
+        """
+
+    def cut(self) -> None:
+        """What comes next in the first column does not go on from what was seen of it."""
 
 
 class Encodes(Protocol):
@@ -95,6 +113,7 @@ class Walk:
         *,
         breakdowns: Breakdowns | None = None,
         traced: bool = False,
+        witness: Witness | None = None,
     ) -> None:
         """`breakdowns` counts them (its own are counted if none is given); `traced` keeps the `path`."""
         self.steps = 0
@@ -108,6 +127,7 @@ class Walk:
         self._mode: Mode = mode
         self._breakdowns = breakdowns or Breakdowns(world.id)
         self._traced = traced
+        self._witness = witness or Witness()
         self._begin()
 
     @property
@@ -154,11 +174,16 @@ class Walk:
         self._postures: list[Floats] = []
         self._rewards: list[Floats] = []
         self._ends: dict[str, list[tuple[Floats, NDArray[np.int32]]]] = {b: [] for b in self._walkers}
+        self._seen: dict[str, Seen | None] = {}
+        self._witness.cut()
         if self._traced:
             self.path = Path([self._start], {block: [] for block in self._walkers})
 
     def _step(self) -> None:
-        step = self._world.step(self._action())
+        action = self._action()
+        if self._witness.looking:
+            self._witness.see(self._observation, self._seen)
+        step = self._world.step(action)
         self.steps += 1
         if step.failed is not None and step.failed.any():
             self._breakdowns.note(step.failed, len(self._walkers))
@@ -175,6 +200,8 @@ class Walk:
             clock.tick()
         ended = step.terminated | step.truncated
         self._observation = self._world.restart(ended) if ended.any() else step.observation
+        if ended[0]:
+            self._witness.cut()
 
     def _action(self) -> Floats:
         """The action (E, a) of all blocks together; what no block drives stays at 0."""
@@ -182,6 +209,7 @@ class Walk:
         for block, walker in self._walkers.items():
             latent = walker.encoder.latent(self._observation[:, walker.observed])
             goal = self._clocks[block].goal
+            self._seen[block] = latent, goal
             action[:, walker.driven], _ = walker.policy.act(latent, goal, self._rng, self._mode)
             if self._traced:
                 self.path.latent[block].append(latent)

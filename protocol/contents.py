@@ -67,8 +67,18 @@ VIEW_ARRAYS: dict[str, Rules] = {
         "latent": ArrayRule("<f4", ("E", "d")),
         "goal": ArrayRule("<f4", ("E", "d"), required=False),
         "posture": ArrayRule("<f4", ("E", "p"), required=False),
+        "trail": ArrayRule("<f4", ("K", "d"), required=False),
+        "path": ArrayRule("<f4", ("K", "p"), required=False),
     },
-    "pose": {"position": ArrayRule("<f4", ("B", 3)), "quaternion": ArrayRule("<f4", ("B", 4))},
+    "posture": {
+        "posture": ArrayRule("<f4", ("E", "p")),
+        "path": ArrayRule("<f4", ("K", "p"), required=False),
+    },
+    "pose": {
+        "position": ArrayRule("<f4", ("B", 3)),
+        "quaternion": ArrayRule("<f4", ("B", 4)),
+        "touch": ArrayRule("<f4", ("N",), required=False),
+    },
     "image": {"pixels": ArrayRule("|u1", ("H", "W", 3))},
 }
 """By `View.view`."""

@@ -247,14 +247,22 @@ class Status(Header):
 class View(WithArrays):
     """A picture for people: latents, poses or images. Best effort, never a brake.
 
-    latent: latent (E, d), and perhaps goal (E, d), posture (E, p); pose: position (B, 3),
-    quaternion (B, 4); all float32. image: pixels (H, W, 3) uint8. contents.py checks them.
+    Of E columns at one moment, and of the way of the first of them there, K steps, the newest last; the
+    arrays as contents.py checks them, float32 but for pixels:
+
+    - latent, of one block: latent (E, d), and perhaps goal (E, d), posture (E, p), trail (K, d), path (K, p).
+    - posture, where there is no latent yet: posture (E, p), and perhaps path (K, p).
+    - pose, of the first column: position (B, 3) and quaternion (B, 4; w first) of all bodies of its model,
+      and perhaps touch (N,), the forces on the skin in newton.
+    - image, what the first column sees with one eye: pixels (H, W, 3) uint8.
     """
 
     kind: ClassVar[str] = "view"
-    view: Literal["latent", "pose", "image"]
+    view: Literal["latent", "posture", "pose", "image"]
     env_step: Count = 0
+    """Environment steps per column of the sender's life."""
     title: Text = ""
+    """image: which eye"""
 
 
 class Command(Header):

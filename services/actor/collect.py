@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from babble.breakdowns import Breakdowns
+from babble.legs import Witness
 from babble.noise import make_noise
 from babble.policy.goals import GoalClock, WalkClock
 from babble.segments import SegmentBuilder
@@ -66,10 +67,12 @@ class SegmentCollector:
         segment_steps: int,
         observation: Floats,
         breakdowns: Breakdowns,
+        witness: Witness,
     ) -> None:
         self.env_steps = 0
         self.observation = observation
         self._breakdowns = breakdowns
+        self._witness = witness
         self._body = body
         self._ways = ways
         self._columns = body.world.columns
@@ -100,6 +103,8 @@ class SegmentCollector:
         action = np.zeros((self._columns, world.action_size), np.float32)
         for block, way in self._ways.items():
             action[:, tree.driven(block)] = way.act(before[:, tree.observed(block)])
+        if self._witness.looking:
+            self._witness.see(before, {block: way.seen for block, way in self._ways.items()})
         step = world.step(action)
         self._steps += 1
         self.env_steps += self._columns
@@ -116,6 +121,8 @@ class SegmentCollector:
         ended = step.terminated | step.truncated
         self.observation = world.restart(ended) if ended.any() else step.observation
         self._episode = self._episode + ended.astype(np.int32)
+        if ended[0]:
+            self._witness.cut()
         if finished:
             self._breakdowns.finish()
         return finished
@@ -124,6 +131,7 @@ class SegmentCollector:
         for builder in self._builders.values():
             builder.discard()
         self._breakdowns.note(failed, segments=len(self._builders))
+        self._witness.cut()
         self.observation = self._body.world.restart(failed | step.terminated | step.truncated)
         self._episode = self._episode + np.int32(1)
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from babble.breakdowns import Breakdowns
-from babble.legs import Legs, Walk, Walker
+from babble.legs import Legs, Walk, Walker, Witness
 from services.actor.collect import Finished
 from services.actor.config import Body
 from services.actor.models import Held, ModelShelf
@@ -22,6 +22,7 @@ class EvaluationCollector:
         settings: RunSettings,
         rng: np.random.Generator,
         breakdowns: Breakdowns,
+        witness: Witness,
     ) -> None:
         self.env_steps = 0
         self.mode: PolicyMode = "mean"
@@ -32,6 +33,7 @@ class EvaluationCollector:
         self._settings = settings.evaluation
         self._rng = rng
         self._breakdowns = breakdowns
+        self._witness = witness
         self._walk: Walk | None = None
         self._walk_mode: PolicyMode = "mean"
         self._held: dict[str, Held] = {}
@@ -65,6 +67,7 @@ class EvaluationCollector:
             self._settings.leg_steps,
             self.mode,
             breakdowns=self._breakdowns,
+            witness=self._witness,
         )
 
     def _walker(self, block: str, held: Held) -> Walker:

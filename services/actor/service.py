@@ -16,6 +16,7 @@ from services.actor.evaluation import EvaluationCollector
 from services.actor.frames import check_frames
 from services.actor.models import ModelShelf
 from services.actor.outbox import CONSUMER_OF, Outbox
+from services.actor.views import Views
 from services.runtime.bus import Frame, Inbox
 from services.runtime.errors import UserError
 from services.runtime.interface import interface_of
@@ -51,8 +52,7 @@ class Actor:
         world = self._body.world
         settings.check_rewarded(world.rewarded)
         self._breakdowns = Breakdowns(world.id)
-        interface = interface_of(settings, senses=world.senses, action_size=world.action_size)
-        fingerprint = interface.fingerprint()
+        fingerprint = interface_of(settings, senses=world.senses, action_size=world.action_size).fingerprint()
         self._observation = first_observation(self._body)
         self._shelf = ModelShelf(block.name for block in settings.block)
         self._outbox = Outbox(
@@ -63,11 +63,12 @@ class Actor:
             window=settings.actors.window,
             resend_secs=settings.actors.resend_secs,
         )
+        self._views = Views(context, world)
         self._gate = Gate(context.run, {"phase", "ack", "model"}, fingerprint=fingerprint)
         self._latest = LatestPhase()
         self._announced: PhaseAnnounced | None = None
         self._collector: Collector | None = None
-        self._env_steps = 0
+        self._earlier_steps = 0
         self._stopping = False
         self._waiting_for = ""
         self._urgent = True
@@ -91,6 +92,7 @@ class Actor:
         if over or self._stopping:
             self._heart.poll(now_secs, self._report, urgent=True)
             return None
+        self._views.turn(now_secs, self._env_steps)
         acted = self._act(now_secs)
         self._outbox.resend(now_secs)
         self._heart.poll(now_secs, self._report, urgent=self._urgent)
@@ -116,9 +118,11 @@ class Actor:
         if isinstance(self._collector, SegmentCollector):
             self._observation = self._collector.observation
         if self._collector is not None:
-            self._env_steps += self._collector.env_steps
+            self._earlier_steps += self._collector.env_steps
         self._announced = announced
         self._waiting_for = ""
+        evaluating = announced.phase is Phase.EVALUATE
+        self._views.enter(announced.term, (self._fresh_body if evaluating else self._body).world)
         self._collector = self._new_collector(announced)
         self._urgent = True
 
@@ -127,7 +131,13 @@ class Actor:
         blocks = sorted(announced.blocks)
         if announced.phase is Phase.EVALUATE:
             return EvaluationCollector(
-                self._fresh_body, blocks, self._shelf, settings, self._evaluation_rng, self._breakdowns
+                self._fresh_body,
+                blocks,
+                self._shelf,
+                settings,
+                self._evaluation_rng,
+                self._breakdowns,
+                self._views,
             )
         if announced.phase not in CONSUMER_OF:
             return None
@@ -138,7 +148,13 @@ class Actor:
             segment_steps=settings.actors.segment_steps,
             observation=self._observation,
             breakdowns=self._breakdowns,
+            witness=self._views,
         )
+
+    @property
+    def _env_steps(self) -> int:
+        """Environment steps of this life, summed over the columns."""
+        return self._earlier_steps + (0 if self._collector is None else self._collector.env_steps)
 
     def _act(self, now_secs: float) -> bool:
         """Work on the current segment; False if nothing is wanted or the models are not here yet."""
@@ -152,7 +168,10 @@ class Actor:
         for _ in range(QUANTUM_STEPS):
             for finished in _stepped(collector):
                 self._outbox.send(finished, announced.phase, announced.term, now_secs)
-            if collector.at_border() or clock.now_secs() - began_secs >= QUANTUM_SECS:
+            turned_secs = clock.now_secs()
+            if turned_secs >= self._views.quiet_secs:
+                self._views.turn(turned_secs, self._env_steps)
+            if collector.at_border() or turned_secs - began_secs >= QUANTUM_SECS:
                 break
         return True
 
@@ -187,14 +206,13 @@ class Actor:
         return bool(granted)
 
     def _report(self) -> dict[str, Any]:
-        announced, collector = self._announced, self._collector
-        in_term = 0 if collector is None else collector.env_steps
+        announced, views = self._announced, self._views
         return {
             "term": 0 if announced is None else announced.term,
             "phase": None if announced is None else announced.phase,
             "versions": self._shelf.versions(),
             "totals": {
-                "env_steps": self._env_steps + in_term,
+                "env_steps": self._env_steps,
                 "segments": self._outbox.segments,
                 "resent": self._outbox.resent,
                 "unwanted": self._outbox.unwanted,
@@ -204,12 +222,19 @@ class Actor:
                 "dropped_segments": self._breakdowns.segments,
                 "ignored_acks": self._outbox.ignored_acks,
                 "inbox_dropped": self._inbox.dropped,
+                "views": views.sent,
+                "unshown": views.unshown,
             },
             "queue_depth": self._outbox.unacknowledged,
             "refused": dict(self._gate.refused),
             "waiting_for": self._waiting_for if announced is not None else "a coordinator's announcement",
-            "last_error": self._shelf.last_error or self._gate.last_refusal or self._breakdowns.sentence,
+            "last_error": self._last_error,
         }
+
+    @property
+    def _last_error(self) -> str:
+        errors = self._shelf.last_error, self._gate.last_refusal, self._breakdowns.sentence
+        return next(filter(None, errors), self._views.last_error)
 
 
 def _stepped(collector: Collector) -> list[Finished]:

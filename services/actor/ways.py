@@ -6,6 +6,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from babble.legs import Seen
 from babble.noise import Noise
 from babble.policy.act import EncoderModel, PolicyModel
 from babble.policy.goals import GoalClock, WalkClock
@@ -25,6 +26,8 @@ class Way(Protocol):
     policy: PolicyMode
     held: Held
     """The models of the current segment."""
+    seen: Seen | None
+    """The latent and the goal (E, d) that `act` last acted on; None without a latent."""
 
     def begin_segment(self) -> None:
         """Take the newest models; called at the border of each segment."""
@@ -41,6 +44,7 @@ class RandomWay:
 
     policy: PolicyMode = "random"
     held = Held()
+    seen: Seen | None = None
 
     def __init__(self, noise: Noise, pack: Pack) -> None:
         self._noise = noise
@@ -67,6 +71,7 @@ class _ModelWay:
         self, block: str, shelf: ModelShelf, clock: GoalClock | WalkClock, rng: np.random.Generator
     ) -> None:
         self.held = Held()
+        self.seen: Seen | None = None
         self._block = block
         self._shelf = shelf
         self._clock = clock
@@ -94,7 +99,8 @@ class WalkWay(_ModelWay):
     def act(self, observation: Floats) -> Floats:
         """Sampled actions towards the vertex of the moment."""
         encoder, policy = self._models()
-        action, _ = policy.act(encoder.latent(observation), self._clock.goal, self._rng, mode="sampled")
+        latent, goal = self.seen = encoder.latent(observation), self._clock.goal
+        action, _ = policy.act(latent, goal, self._rng, mode="sampled")
         return action
 
     def record(self, observation: Floats, arrived: Floats, step: Step, episode: NDArray[np.int32]) -> Record:
@@ -133,6 +139,7 @@ class PractiseWay(_ModelWay):
         if self._latent is None:
             self._latent = encoder.latent(observation)
         self._goal = self._clock.goal
+        self.seen = self._latent, self._goal
         self._action, self._log_prob = policy.act(self._latent, self._goal, self._rng, mode="sampled")
         return self._action
 

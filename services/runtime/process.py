@@ -13,7 +13,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
@@ -62,6 +62,8 @@ class Context:
     wakeup: Wakeup
     index: int = 0
     """Which actor of the run this is; 0 for the services of which there is one."""
+    options: argparse.Namespace = field(default_factory=argparse.Namespace)
+    """The whole command line, for services with options of their own."""
 
 
 @dataclass
@@ -81,9 +83,18 @@ class _Signals:
             raise SystemExit(0)
 
 
-def run_process(service: str, build: Callable[[Context], Service], argv: Sequence[str] | None = None) -> int:
-    """Run a service as this process until it is finished or told to stop; returns the exit code."""
-    arguments = _parse(service, argv)
+def run_process(
+    service: str,
+    build: Callable[[Context], Service],
+    argv: Sequence[str] | None = None,
+    *,
+    add_options: Callable[[argparse.ArgumentParser], None] | None = None,
+) -> int:
+    """Run a service as this process until it is finished or told to stop; returns the exit code.
+
+    `add_options` adds the service's own options to its command line.
+    """
+    arguments = _parse(service, argv, add_options)
     life = new_life(service)
     log_to_stderr(life)
     signals = _Signals()
@@ -186,6 +197,7 @@ def _run(
             life=life,
             wakeup=wakeup,
             index=arguments.index,
+            options=arguments,
         )
         polled = build(context)
         bus.announce(keys.alive(run, service, life))
@@ -198,7 +210,11 @@ def _run(
         bus.close()
 
 
-def _parse(service: str, argv: Sequence[str] | None) -> argparse.Namespace:
+def _parse(
+    service: str,
+    argv: Sequence[str] | None,
+    add_options: Callable[[argparse.ArgumentParser], None] | None,
+) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog=f"python -m services.{service}", description=f"The {service} of a run, as this process."
     )
@@ -215,6 +231,8 @@ def _parse(service: str, argv: Sequence[str] | None) -> argparse.Namespace:
         help=f"the router's address (default: ${ENDPOINT_VARIABLE}, else {DEFAULT_ENDPOINT})",
     )
     parser.add_argument("--index", type=int, default=0, help="which actor this is; seeds its worlds")
+    if add_options is not None:
+        add_options(parser)
     return parser.parse_args(argv)
 
 

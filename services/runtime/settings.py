@@ -174,6 +174,25 @@ class WireSettings(Section):
     checkpoint_secs: PositiveFloat = 60.0
 
 
+class ViewSettings(Section):
+    """What actors show to people, and how often; none of it is learned from, and all of it may be lost."""
+
+    latents_per_sec: Annotated[float, Field(ge=0, le=50)] = 5.0
+    """latents and postures of each actor; 0 for none"""
+    columns: Annotated[int, Field(ge=1, le=256)] = 16
+    """of each actor are shown, at most"""
+    trail_steps: Annotated[int, Field(ge=2, le=1024)] = 60
+    """of the first column's way are shown"""
+    poses_per_sec: Annotated[float, Field(ge=0, le=50)] = 10.0
+    """poses of a simulated body; 0 for none"""
+    images_per_sec: Annotated[float, Field(ge=0, le=50)] = 2.0
+    """what a body with eyes sees; 0 for none"""
+    shown_actors: Annotated[int, Field(ge=0)] = 1
+    """poses and images are those of the actors whose index is below this"""
+    recording_mb: Annotated[int, Field(ge=1)] = 512
+    """the recording of the dashboard may take so much of the disk (10^6 bytes); the oldest goes first"""
+
+
 class RunSettings(Section):
     """A whole run."""
 
@@ -189,6 +208,7 @@ class RunSettings(Section):
     goals: GoalSettings = GoalSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
     wire: WireSettings = WireSettings()
+    view: ViewSettings = ViewSettings()
 
     @model_validator(mode="after")
     def _blocks_are_distinct(self) -> "RunSettings":

@@ -242,3 +242,25 @@ def test_a_size_is_the_same_in_all_arrays_of_a_message():
     wrong = {**segment.arrays, "goal": np.zeros((2, 3, 4), "<f4")}
     with pytest.raises(Refused, match=r"'goal' must be <f4 of shape \(T, E, d\) with T=2, E=3, d=2"):
         encode(segment.model_copy(update={"arrays": wrong}))
+
+
+@pytest.mark.parametrize(
+    ("name", "arrays", "sentence"),
+    [
+        ("view-latent-trail", {"trail": np.zeros((5, 3), "<f4")}, r"'trail' must be <f4 of shape \(K, d\)"),
+        ("view-latent-trail", {"path": np.zeros((4, 4), "<f4")}, r"\(K, p\) with p=4, K=5"),
+        ("view-latent-trail", {"latent": None}, r"a latent view has .* but lacks \['latent'\]"),
+        ("view-posture", {"latent": np.zeros((3, 2), "<f4")}, "a posture view may have .* but not 'latent'"),
+        ("view-pose", {"quaternion": np.zeros((5, 4), "<f4")}, r"\(B, 4\) with B=6"),
+        ("view-pose", {"position": np.zeros((6, 2), "<f4")}, r"\(B, 3\)"),
+        ("view-pose-touch", {"touch": np.zeros((7, 3), "<f4")}, r"'touch' must be <f4 of shape \(N,\)"),
+        ("view-image", {"pixels": np.zeros((2, 4, 4), "|u1")}, r"\(H, W, 3\)"),
+        ("view-image", {"pixels": np.zeros((2, 4, 3), "<f4")}, r"must be \|u1"),
+    ],
+)
+def test_a_view_has_the_arrays_of_what_it_shows(name, arrays, sentence):
+    view = GOLDEN[name]
+    wrong = {each: array for each, array in {**view.arrays, **arrays}.items() if array is not None}
+    with pytest.raises(Refused, match=sentence) as caught:
+        encode(view.model_copy(update={"arrays": wrong}))
+    assert caught.value.reason is Reason.BAD_ARRAY

@@ -11,7 +11,7 @@ from typing import Any
 
 from protocol import keys
 from protocol.codec import decode
-from protocol.messages import Phase, Segment, Status
+from protocol.messages import Phase, Segment, Status, View
 from services.actor.service import build as build_actor
 from services.coordinator.service import CoordinatorService as build_coordinator
 from services.encoder_learner.service import build as build_encoder_learner
@@ -54,8 +54,9 @@ class Simulation:
     """By (consumer, term, block): environment steps of each different segment (life, seq) that was sent."""
     used_steps: dict[tuple[str, int, str], int] = field(default_factory=dict)
     """By (learner, term, block): the most steps that the learner said it had used."""
-    said: list[tuple[float, Segment | Status]] = field(default_factory=list)
-    """Every segment and status with the time, in the order in which they were sent."""
+    said: list[tuple[float, Segment | Status | View]] = field(default_factory=list)
+    """Every segment, status and view with the time, in the order in which they were sent."""
+    turn_secs: float = TURN_SECS
     rounds: int = 0
 
     def start(self, service: str, life: str, index: int = 0) -> None:
@@ -86,18 +87,18 @@ class Simulation:
             self.start("actor", f"actor-{index}", index)
 
     def _note_what_is_published(self, bus: Any) -> None:
-        """Note segments and progress where they are said, before any fault of the bus."""
+        """Note segments, views and progress where they are said, before any fault of the bus."""
         publish = bus.publish
 
         def noting(kind: str, key: str, frame: bytes) -> None:
-            if kind in ("segment", "status"):
+            if kind in ("segment", "status", "view"):
                 self._note(decode(frame))
             publish(kind, key, frame)
 
         bus.publish = noting
 
     def _note(self, message: object) -> None:
-        if isinstance(message, Segment | Status):
+        if isinstance(message, Segment | Status | View):
             self.said.append((self.clock.now_secs(), message))
         match message:
             case Segment() as s:
@@ -112,6 +113,11 @@ class Simulation:
     def segments(self, *phases: Phase) -> list[Segment]:
         """All that were sent in some phases, also those sent again."""
         return [said for _, said in self.said if isinstance(said, Segment) and said.phase in phases]
+
+    def views(self, *phases: Phase) -> list[View]:
+        """All that were sent in some phases."""
+        phase_of = {said.term: said.phase for _, said in self.said if isinstance(said, Status)}
+        return [said for _, said in self.said if isinstance(said, View) and phase_of[said.term] in phases]
 
     def statuses(self, life: str) -> list[tuple[float, Status]]:
         """All of one process, with their times."""
@@ -130,7 +136,7 @@ class Simulation:
                 running.bus.close()
                 del self.running[life]
                 self.ended.append(life)
-        self.clock.advance(TURN_SECS)
+        self.clock.advance(self.turn_secs)
 
     def book(self, learner: str) -> dict[str, Any]:
         """What a learner's newest checkpoint says of the experience it took."""

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from babble.breakdowns import Breakdowns
+from babble.legs import Witness
 from babble.policy.goals import GoalClock
 from protocol.messages import Phase
 from services.actor.collect import SegmentCollector, ways_of
@@ -38,7 +39,12 @@ def body() -> Body:
 def collector_of(phase: Phase, body: Body, shelf: ModelShelf) -> SegmentCollector:
     ways = ways_of(phase, body, ["body"], shelf, SETTINGS, np.random.default_rng(1))
     return SegmentCollector(
-        body, ways, segment_steps=12, observation=body.world.reset(), breakdowns=Breakdowns("test")
+        body,
+        ways,
+        segment_steps=12,
+        observation=body.world.reset(),
+        breakdowns=Breakdowns("test"),
+        witness=Witness(),
     )
 
 

@@ -1,5 +1,6 @@
 """What an actor makes of episodes that end, and of simulations that break down."""
 
+from itertools import accumulate, chain
 from typing import Any
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from babble.blocks import BlockTree
 from babble.breakdowns import MOST_IN_A_ROW, Breakdowns, UnstableError
+from babble.legs import Witness
 from protocol.messages import Phase
 from services.actor.collect import SegmentCollector, ways_of
 from services.actor.config import Body
@@ -33,7 +35,13 @@ def settings_of(**tables: Any) -> RunSettings:
 class Acting:
     """An actor's collecting in one phase of an episodic world."""
 
-    def __init__(self, phase: Phase, settings: RunSettings | None = None, **parameters: Any) -> None:
+    def __init__(
+        self,
+        phase: Phase,
+        settings: RunSettings | None = None,
+        witness: Witness | None = None,
+        **parameters: Any,
+    ) -> None:
         settings = settings or settings_of()
         self.world = EpisodicWorld(COLUMNS, np.random.default_rng(0), **parameters)
         tree = BlockTree.of(settings.block, self.world.observation_size, self.world.action_size)
@@ -41,10 +49,10 @@ class Acting:
         self.breakdowns = Breakdowns("Episodic")
         self.shelf = Shelf(["body"])
         self.shelf.put(1, actuators=1)
-        rng = np.random.default_rng(1)
+        rng, witness = np.random.default_rng(1), witness or Witness()
         if phase is Phase.EVALUATE:
             self.collector: Any = EvaluationCollector(
-                self.body, ["body"], self.shelf, settings, rng, self.breakdowns
+                self.body, ["body"], self.shelf, settings, rng, self.breakdowns, witness
             )
         else:
             ways = ways_of(phase, self.body, ["body"], self.shelf, settings, rng)
@@ -54,6 +62,7 @@ class Acting:
                 segment_steps=STEPS,
                 observation=self.world.reset(),
                 breakdowns=self.breakdowns,
+                witness=witness,
             )
 
     def segments(self, count: int) -> list[Any]:
@@ -176,6 +185,52 @@ def test_the_external_reward_of_a_leg_is_that_of_its_second_half() -> None:
     towards = 1.0 - 2.0 * arrays["goal"]
     # From the middle the steps end at 0.1, 0.2 ... 0.6, and the reward is the place.
     np.testing.assert_allclose(arrays["external_reward"][1:], 0.5 * towards[1:], atol=1e-6)
+
+
+class Looking(Witness):
+    """Sees each step of the first column, and where its way is broken off."""
+
+    looking = True
+
+    def __init__(self) -> None:
+        self.seen: list[Any] = []
+        self.ways: list[list[float]] = [[]]
+
+    def see(self, observation: np.ndarray, seen: Any) -> None:
+        self.ways[-1].append(observation[0, 0])
+        self.seen.append(seen["body"])
+
+    def cut(self) -> None:
+        self.ways.append([])
+
+
+@pytest.mark.parametrize("phase", [*ACTING, Phase.EVALUATE])
+def test_a_witness_sees_what_each_step_is_taken_on_and_where_an_episode_ends(phase: Phase) -> None:
+    witness = Looking()
+    acting = Acting(phase, witness=witness, limit_steps=5)
+    acting.segments(1)
+    ways = [way for way in witness.ways if way]
+    assert [len(way) for way in ways[:2]] == [5, 5]
+    assert sum(map(len, ways)) == acting.world.steps
+    for way in ways:
+        assert np.max(np.abs(np.diff(way))) <= 0.1 + 1e-6, "a way has no gaps"
+    if phase is Phase.BABBLE:
+        assert witness.seen == [None] * acting.world.steps
+        return
+    for latent, place in zip((seen[0] for seen in witness.seen), chain(*ways), strict=True):
+        assert latent[0, 0] == pytest.approx(0.5 + 0.4 * place)
+    assert all(goal.shape == (COLUMNS, 2) for _, goal in witness.seen)
+
+
+@pytest.mark.parametrize("phase", [*ACTING, Phase.EVALUATE])
+def test_a_witness_sees_a_way_end_where_the_simulation_breaks_down(phase: Phase) -> None:
+    witness = Looking()
+    acting = Acting(phase, witness=witness, fails_every=25)
+    acting.segments(3)
+    assert acting.breakdowns.episodes
+    ended = list(accumulate(len(way) for way in witness.ways if way))
+    assert 25 in ended, "the step that failed is the last of its way"
+    assert ended[-1] == acting.world.steps
 
 
 @pytest.mark.parametrize(("weight", "sent"), [(0.0, False), (0.5, True)])

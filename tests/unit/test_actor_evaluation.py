@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from babble.breakdowns import Breakdowns
+from babble.legs import Witness
 from services.actor.config import Body, body_of
 from services.actor.evaluation import EvaluationCollector
 from services.runtime.settings import parse
@@ -29,7 +30,7 @@ def shelf() -> Shelf:
 def collector_of(shelf: Shelf, body: Body | None = None) -> EvaluationCollector:
     body = body or body_of(SETTINGS, np.random.SeedSequence(9))
     return EvaluationCollector(
-        body, ["body"], shelf, SETTINGS, np.random.default_rng(2), Breakdowns("Cuboid")
+        body, ["body"], shelf, SETTINGS, np.random.default_rng(2), Breakdowns("Cuboid"), Witness()
     )
 
 

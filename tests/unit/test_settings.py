@@ -36,6 +36,14 @@ def test_each_shipped_scenario_is_valid_and_named_after_its_file(path: Path) -> 
             {"evaluation": {"legs": 1024, "leg_steps": 1025}},
             "legs x evaluation.leg_steps may be at most 1,048,576, .* got 1,024 x 1,025",
         ),
+        (
+            {"view": {"latents_per_sec": 51}},
+            r"origin: view\.latents_per_sec: .*less than or equal to 50, got 51",
+        ),
+        ({"view": {"poses_per_sec": -1}}, r"view\.poses_per_sec: .*greater than or equal to 0"),
+        ({"view": {"images_per_sec": float("nan")}}, r"view\.images_per_sec: .*got nan"),
+        ({"view": {"trail_steps": 1}}, r"view\.trail_steps: .*greater than or equal to 2"),
+        ({"view": {"columns": 0}}, r"view\.columns: .*greater than or equal to 1"),
         ({"seed": -1}, r"origin: seed: .*greater than or equal to 0"),
     ],
 )

@@ -210,6 +210,47 @@ GOLDEN: dict[str, Message] = {
         title="two latents",
         arrays={"latent": ramp((3, 2), "<f4"), "goal": ramp((3, 2), "<f4")},
     ),
+    "view-latent-trail": View(
+        **header(),
+        view="latent",
+        env_step=777,
+        arrays={
+            "latent": ramp((3, 2), "<f4"),
+            "goal": ramp((3, 2), "<f4"),
+            "posture": ramp((3, 4), "<f4"),
+            "trail": ramp((5, 2), "<f4"),
+            "path": -ramp((5, 4), "<f4"),
+        },
+    ),
+    "view-posture": View(
+        **header(block="all"),
+        view="posture",
+        env_step=12,
+        arrays={"posture": ramp((3, 4), "<f4"), "path": ramp((5, 4), "<f4")},
+    ),
+    "view-pose": View(
+        **header(block="all"),
+        view="pose",
+        env_step=778,
+        arrays={"position": ramp((6, 3), "<f4"), "quaternion": ramp((6, 4), "<f4")},
+    ),
+    "view-pose-touch": View(
+        **header(block="all"),
+        view="pose",
+        env_step=779,
+        arrays={
+            "position": ramp((6, 3), "<f4"),
+            "quaternion": ramp((6, 4), "<f4"),
+            "touch": ramp((7,), "<f4"),
+        },
+    ),
+    "view-image": View(
+        **header(block="all"),
+        view="image",
+        env_step=780,
+        title="left eye",
+        arrays={"pixels": ramp((2, 4, 3), "|u1")},
+    ),
     "command": Command(**header(block="all", life="launcher-1"), id="q1", name="describe"),
     "reply": Reply(**header(block="all", life="coordinator-1"), id="q1", ok=True, text="all is well"),
 }
