@@ -29,6 +29,7 @@ def loaded_by(module: str) -> set[str]:
         ("services.coordinator.__main__", SCIENCE | WORLDS, {"protocol"}),
         ("services.router.__main__", SCIENCE | WORLDS, {"services"}),
         ("services.launcher.__main__", SCIENCE | {"onnxruntime", "matplotlib"}, {"services"}),
+        ("services.dashboard.__main__", {"torch", "stable_baselines3", "onnx", "onnxruntime"}, {"rerun"}),
         ("services.runtime.zenoh_bus", SCIENCE | WORLDS, {"zenoh"}),
         ("services.runtime.process", SCIENCE | WORLDS | {"zenoh"}, {"protocol"}),
         ("babble.worlds", SCIENCE | {"zenoh", "protocol", "services"}, {"babble"}),

@@ -1,0 +1,141 @@
+"""What the learners measure, and the scores of each evaluation."""
+
+from collections.abc import Collection, Mapping
+
+from protocol.messages import Score, Status
+from services.dashboard.canvas import Canvas, Due, Lines, page
+from services.dashboard.colours import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILLION,
+    WHITE,
+    YELLOW,
+    Colour,
+)
+
+MEASURES: Mapping[str, Mapping[str, tuple[str, Colour]]] = {
+    "encoder": {
+        "loss": ("InfoNCE loss", SKY),
+        "accuracy": ("accuracy", GREEN),
+        "alignment": ("alignment", ORANGE),
+        "uniformity": ("uniformity", PURPLE),
+    },
+    "policy": {
+        "reward_mean": ("reward per step", GREEN),
+        "loss": ("all", WHITE),
+        "policy_loss": ("policy", SKY),
+        "value_loss": ("value loss", ORANGE),
+        "explained_variance": ("explained variance", BLUE),
+        "approx_kl": ("KL divergence", PURPLE),
+        "clip_fraction": ("clipped", YELLOW),
+        "entropy": ("entropy", SKY),
+        "std": ("deviation of actions", GREY),
+        "lag_mean": ("mean", SKY),
+        "lag_max": ("most", VERMILLION),
+    },
+}
+"""By learner and measure: name and colour of the line. `Status.metrics` has <block>/<learner>/<measure>."""
+SCORES: Mapping[str, tuple[str, Colour]] = {
+    "separation": ("separation", SKY),
+    "separation_worst": ("worst separation", BLUE),
+    "z_min": ("z_min", ORANGE),
+    "z_goal": ("z_goal", GREEN),
+    "switch_success": ("switches", PURPLE),
+    "crossing": ("crossings", YELLOW),
+    "external_reward": ("task's reward", VERMILLION),
+}
+THIN_SECS = 2.0
+MOST_ROWS = 16
+"""of the table of scores; the newest"""
+
+Key = tuple[str, int, str, str]
+
+
+class LearningPanel:
+    """Under /learning/<block> and /scores/<block>; a measure is a row only after work that changed it."""
+
+    def __init__(self, blocks: Collection[str]) -> None:
+        self._blocks = tuple(blocks)
+        self._lines = Lines()
+        self._totals: dict[str, Mapping[str, int]] = {}
+        self._measured: dict[str, float] = {}
+        self._scores: dict[Key, Score] = {}
+        self._found: list[Score] = []
+        self._due = Due(THIN_SECS)
+
+    @property
+    def scores(self) -> list[Score]:
+        """The scores heard so far, in that order."""
+        return list(self._scores.values())
+
+    def hear_status(self, status: Status) -> None:
+        """Take a learner's measures and scores."""
+        for score in status.scores:
+            key = (score.block, score.iteration, str(score.phase), score.policy)
+            if score.block in self._blocks and key not in self._scores:
+                self._found.append(score)
+                self._scores[key] = score
+        if not status.service.endswith("_learner") or self._totals.get(status.service) == status.totals:
+            return
+        self._totals[status.service] = status.totals
+        for name, value in status.metrics.items():
+            block, _, rest = name.partition("/")
+            learner, _, measure = rest.partition("/")
+            if block in self._blocks and measure in MEASURES.get(learner, ()):
+                self._measured[name] = value
+
+    def begin(self, canvas: Canvas) -> None:
+        """Name the lines, and say the scores so far."""
+        self._lines.begin(canvas)
+        canvas.log("/status/scores", page(scores_table(self.scores)))
+
+    def draw(self, canvas: Canvas, now_secs: float) -> None:
+        """Log what is new."""
+        if self._measured:
+            thin = self._due(now_secs)
+            for name, value in self._measured.items():
+                learner, measure = name.split("/")[1:]
+                title, colour = MEASURES[learner][measure]
+                self._lines.name(canvas, f"/learning/{name}", title, colour)
+                self._lines.add(canvas, f"/learning/{name}", value, thin=thin)
+            self._measured.clear()
+        if self._found:
+            for score in self._found:
+                self._draw_score(canvas, score)
+            self._found.clear()
+            canvas.log("/status/scores", page(scores_table(self.scores)))
+
+    def _draw_score(self, canvas: Canvas, score: Score) -> None:
+        """A dot per evaluation; the mean actions' only, or there would be two at a time."""
+        if score.policy != "mean":
+            return
+        for name, (title, colour) in SCORES.items():
+            path = f"/scores/{score.block}/{name}"
+            value = getattr(score, name)
+            if value is not None:
+                if path not in self._lines:
+                    self._lines.name(canvas, path, title, colour, 2.0, dots=True)
+                self._lines.add(canvas, path, value)
+
+
+def scores_table(scores: Collection[Score]) -> str:
+    """The newest scores as a table in Markdown, the last on top."""
+    if not scores:
+        return "There are scores after the first evaluation, which follows on ground."
+    heads = ["block", "after", "actions", *(title for title, _ in SCORES.values())]
+    rows = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    for score in reversed(list(scores)[-MOST_ROWS:]):
+        after = f"{score.phase} {score.iteration}" if score.iteration else str(score.phase)
+        values = [getattr(score, name) for name in SCORES]
+        cells = [
+            score.block,
+            after,
+            score.policy,
+            *("" if value is None else f"{value:.3f}" for value in values),
+        ]
+        rows.append("| " + " | ".join(cells) + " |")
+    return "\n".join(rows)
