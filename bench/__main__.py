@@ -10,7 +10,7 @@ from pathlib import Path
 
 os.environ["OMP_NUM_THREADS"] = "1"
 
-from bench import actor, end_to_end, footprint, physics, touch, vision
+from bench import actor, dashboard, end_to_end, footprint, physics, touch, vision
 from bench.bytecode import compiled
 from bench.tables import Table
 
@@ -19,6 +19,10 @@ BENCHMARKS: Mapping[str, tuple[Measure, Measure]] = {
     "actor": (
         lambda _: actor.measure(),
         lambda _: actor.measure(steps=4096, repetitions=2, process_secs=2.0),
+    ),
+    "dashboard": (
+        lambda _: dashboard.measure(),
+        lambda _: dashboard.measure(periods=1, period_secs=2.0, actors=2),
     ),
     "end_to_end": (
         lambda _: end_to_end.measure(),

@@ -17,7 +17,7 @@ from services.coordinator.journal import Journal, replay
 from services.coordinator.machine import announcement, best_of, decide
 from services.coordinator.report import describe, witnesses
 from services.coordinator.run_files import RunFiles
-from services.coordinator.state import State, present
+from services.coordinator.state import State, awaited, present
 from services.coordinator.table import LEARNERS
 from services.coordinator.translate import announced, status_reported
 from services.coordinator.waiting import phase_name, waiting
@@ -259,11 +259,11 @@ class CoordinatorService:
         question.reply(encode(reply))
 
     def _may_leave(self, now_secs: float) -> bool:
-        """After DONE: when all others are gone or have had time to hear it."""
+        """After DONE: when all others but onlookers are gone or have had time to hear it."""
         if self._done_secs is None:
             return False
         since_secs = now_secs - self._done_secs
-        if set(present(self._state).values()) <= {SERVICE}:
+        if set(awaited(self._state).values()) <= {SERVICE}:
             return since_secs >= ANNOUNCE_SECS
         linked_secs = now_secs - max(self._done_secs, self._unlinked_secs)
         return linked_secs >= FAREWELL_SECS or since_secs >= FAREWELL_SECS + self._settings.wire.connect_secs

@@ -7,6 +7,9 @@ from enum import StrEnum
 from services.coordinator.table import Phase
 from services.coordinator.words import BlockProgress, ScoreRow
 
+ONLOOKERS = frozenset({"dashboard"})
+"""Services that only watch a run: it goes on without them and waits for none of them."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
@@ -90,3 +93,8 @@ def present(state: State) -> dict[str, str]:
         for life, member in state.members.items()
         if member.lost_at_secs is None or state.link is not OwnLink.UP
     }
+
+
+def awaited(state: State) -> dict[str, str]:
+    """Those present whom the run waits for: all but onlookers."""
+    return {life: service for life, service in present(state).items() if service not in ONLOOKERS}

@@ -1,6 +1,6 @@
 """Sentences on who waits for whom (pure): what people read when nothing seems to happen."""
 
-from services.coordinator.state import OwnLink, Plan, State, blocks_at_work, present
+from services.coordinator.state import OwnLink, Plan, State, awaited, blocks_at_work, present
 from services.coordinator.table import DUTY, Learner, Phase
 from services.coordinator.words import BlockProgress
 
@@ -10,7 +10,7 @@ MOST_BLOCKS = 4
 
 def waiting(plan: Plan, state: State) -> str:
     """What the current phase still waits for; empty if for nothing."""
-    others = {life: service for life, service in present(state).items() if service != "coordinator"}
+    others = {life: service for life, service in awaited(state).items() if service != "coordinator"}
     if state.stopping:
         return "stopped before the end; start it again with --resume to go on"
     if state.term == 0:

@@ -4,12 +4,11 @@ import os
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 from services.launcher.supervisor import Exit, Part
 from services.runtime.errors import UserError
+from services.runtime.tether import tethered
 
-TETHER = Path(__file__).with_name("tether.py")
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """A process is one of several on this machine; libraries that start a thread per core are in the way."""
 
@@ -19,7 +18,8 @@ class ChildProcess:
 
     def __init__(self, part: Part) -> None:
         """Starts it. Raises `UserError` if the operating system refuses."""
-        command = [sys.executable, "-I", "-S", str(TETHER), str(os.getpid()), sys.executable, *part.arguments]
+        # On Linux it dies with the thread that calls here: the launcher starts all from its main thread.
+        command = tethered([sys.executable, *part.arguments])
         environment = {**dict.fromkeys(ONE_THREAD, "1"), **os.environ}
         try:
             part.log.parent.mkdir(parents=True, exist_ok=True)

@@ -11,6 +11,8 @@ from typing import Any, NoReturn
 COMMANDS = {
     "up": ("services.launcher.up", "train a scenario on this machine and show how it goes"),
     "status": ("services.launcher.status_command", "how a run is going"),
+    "view": ("services.launcher.view_command", "see the recording of a run in a browser"),
+    "report": ("services.launcher.report_command", "write the report of a run anew, with its figures"),
     "score": ("services.launcher.score_command", "score the saved models of a run in fresh worlds"),
     "worlds": ("services.launcher.worlds_command", "the worlds, with their parameters"),
     "doctor": ("services.launcher.doctor", "what is missing on this machine, and what to install"),

@@ -6,7 +6,8 @@ from contextlib import AbstractContextManager
 from types import TracebackType
 from typing import Protocol, Self, TextIO
 
-from services.launcher.lines import ASCII, Signs, frame, progress_line, score_words
+from services.launcher.frame import frame
+from services.launcher.lines import ASCII, Signs, progress_line, score_words
 from services.launcher.members import Picture
 
 LIVE_SECS = 0.5
@@ -86,7 +87,8 @@ class LiveDisplay:
         if now_secs - self._drawn_secs < LIVE_SECS:
             return
         self._drawn_secs = now_secs
-        rows = frame(picture, now_secs, self._console.width, self._signs)
+        width, height = self._console.size
+        rows = frame(picture, now_secs, width, height - 1, self._signs)
         text = Text("\n").join(Text.assemble(*row, no_wrap=True, overflow="crop") for row in rows)
         self._live.update(text, refresh=True)
 

@@ -10,11 +10,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import metadata
 
 from babble.worlds import gl_advice
 from services.launcher.config import address_of
+from services.launcher.dashboard import Choice, PortError, Ports, words
 from services.launcher.run_folder import RUNS, installed
 from services.runtime.errors import BusError
 from services.runtime.settings import SettingsError
@@ -61,6 +62,7 @@ def examine() -> Iterable[Finding]:
         yield packages(extra, requirements(extra), installed)
     yield _onnxruntime()
     yield _eyes()
+    yield dashboard_finding(installed)
     yield _router()
     yield _disk()
     yield _machine()
@@ -90,6 +92,24 @@ def packages(extra: str, names: Iterable[str], version_of: Callable[[str], str |
         return Finding(what=extra, text=f"without {', '.join(missing)}; {what_to_do}", good=False)
     return Finding(
         what=extra, text=", ".join(f"{name} {version}" for name, version in versions.items()), good=True
+    )
+
+
+def dashboard_finding(version_of: Callable[[str], str | None]) -> Finding:
+    """Whether a run would have a dashboard here, and where; a run goes on without one."""
+    found = packages("dashboard", requirements("dashboard"), version_of)
+    if not found.good:
+        return replace(found, text=f"{found.text}; a run goes on without a dashboard", needed=False)
+    try:
+        with Ports(Choice()) as ports:
+            where = words(Choice(), ports)
+    except PortError as error:
+        return replace(found, text=str(error), good=False, needed=False)
+    rerun = version_of("rerun-sdk")
+    return replace(
+        found,
+        text=f"rerun-sdk {rerun}; a run's would be at {where}, for any browser with WebGL 2",
+        needed=False,
     )
 
 

@@ -20,6 +20,7 @@ from babble.landmarks import Landmark
 from babble.policy.act import EncoderModel, ModelError, PolicyModel
 from babble.scores import REACHED, Legs, Walk, Walker, landmarks_of, score
 from babble.worlds import World, WorldError, make
+from babble.worlds.batch import PointWorld
 from protocol.messages import Phase, Score
 from services.launcher.run_folder import RunFolder
 from services.runtime.errors import UserError
@@ -138,7 +139,7 @@ def open_run(where: str | Path) -> Run:
         name=found.run,
         settings=found.settings(),
         scores=_read_scores(found.path),
-        best=_read_best(found.path),
+        best=read_best(found.path),
     )
 
 
@@ -174,6 +175,9 @@ class Rollout:
     """(1 + legs * leg_steps, E, p) every posture, from the start"""
     latent: Mapping[str, Floats]
     """by block, (legs * leg_steps, E, d) what each step was taken at"""
+    states: NDArray[np.float64] | None
+    """(legs, E, s) the bodies as MuJoCo has them after each leg; None for worlds without one. A copy whose
+    episode ended with the leg has begun a new one there"""
     diameter: float
     crossing_axis: int | None
     landmarks: tuple[Landmark, ...]
@@ -217,7 +221,7 @@ def roll_out(
         name: Walker(held.encoder, held.policy, tree.observed(name), tree.driven(name))
         for name, held in models.items()
     }
-    walk = _walked(run, world, walkers, np.random.default_rng([seed, 6, 1]), mode)
+    walk, states = _walked(run, world, walkers, np.random.default_rng([seed, 6, 1]), mode)
     return Rollout(
         run=run,
         versions=versions,
@@ -225,6 +229,7 @@ def roll_out(
         legs=walk.legs(),
         path=np.stack(walk.path.posture),
         latent={block: np.stack(latents) for block, latents in walk.path.latent.items()},
+        states=states,
         diameter=world.diameter,
         crossing_axis=world.crossing_axis,
         landmarks=landmarks_of(world, tree),
@@ -233,19 +238,35 @@ def roll_out(
 
 def _walked(
     run: Run, world: World, walkers: Mapping[str, Walker], rng: np.random.Generator, mode: Mode
-) -> Walk:
+) -> tuple[Walk, NDArray[np.float64] | None]:
+    """A whole walk, and the states of the bodies after each leg."""
     plan = run.settings.evaluation
     try:
         # A sense may find only now that it has no renderer.
         walk = Walk(world, walkers, rng, plan.legs, plan.leg_steps, mode, traced=True)
     except ValueError as error:
         raise RunError(f"{run.shown} cannot be rolled out here: {error}") from None
+    states: dict[int, NDArray[np.float64]] = {}
     try:
-        while not walk.advance(plan.leg_steps):
-            pass
+        while not walk.done:
+            walk.advance(1)
+            # Not walk.steps: when a simulation breaks down, the walk and its path begin again.
+            leg, within = divmod(len(walk.path.posture) - 1, plan.leg_steps)
+            if leg and not within and (state := _states(world)) is not None:
+                states[leg] = state
     except UnstableError as error:
         raise RunError(f"{run.shown} cannot be rolled out: {error}") from None
-    return walk
+    return walk, np.stack([states[leg] for leg in sorted(states)]) if states else None
+
+
+def _states(world: World) -> NDArray[np.float64] | None:
+    """(E, s) of a simulated body; None for what is none."""
+    if isinstance(world, PointWorld):
+        return None
+    # MuJoCo takes its time, which worlds without a body do not need.
+    from services.launcher.bodies import states_of
+
+    return states_of(world)
 
 
 def load_models(run: Run, version: Version) -> Models:
@@ -329,7 +350,8 @@ def _read_scores(folder: Path) -> tuple[Score, ...]:
     return tuple(rows)
 
 
-def _read_best(folder: Path) -> dict[str, int]:
+def read_best(folder: Path) -> dict[str, int]:
+    """Block -> the iteration that is kept; empty before the first. Raises `RunError`."""
     path = folder / "best.json"
     if not path.is_file():
         return {}

@@ -1,27 +1,29 @@
 """The figures of a report, drawn without a display, in Okabe and Ito's colours for colour-blind eyes."""
 
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.colors import ListedColormap
+from matplotlib import colormaps
+from matplotlib.colors import ListedColormap, to_hex
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from babble.scores import REACHED
 from babble.worlds.geometry import Body, CuboidBody, DumbbellBody, EllipsoidBody
-from protocol.messages import Score
+from services.runtime.checkpoint import write_atomically
 
 Array = NDArray[Any]
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442", "#000000")
-MOST_VERTICES = len(COLOURS)
-"""More vertices than colours are not drawn."""
+"""Of the vertices, as long as they last."""
 MARKERS = "osD^vP*X"
 GREY = "#777777"
 DPI = 110
+MOST_NAMED = len(COLOURS)
+"""More vertices are not named one by one in a legend, but by their number where they are."""
 TRAJECTORIES = 3
 """Columns whose way is drawn."""
 MAP_POINTS = 12_000
@@ -47,14 +49,28 @@ class Ends:
     latent_dim: int
 
 
-@dataclass(frozen=True)
-class Curve:
-    """A measure over the run's time, in pieces that belong together (one fit, one practise)."""
+def vertex_colours(count: int) -> Sequence[str]:
+    """A colour per vertex: of more than there are names for, the hues of a rainbow, told apart by numbers."""
+    if count <= len(COLOURS):
+        return COLOURS[:count]
+    return [to_hex(colour) for colour in colormaps["turbo"](np.linspace(0.04, 0.96, count))]
 
-    title: str
-    label: str
-    pieces: Sequence[tuple[Sequence[float], Sequence[float]]]
-    """(seconds since the start, value)"""
+
+def marker(vertex: int) -> str:
+    """The marker of a vertex; after eight they come round again."""
+    return MARKERS[vertex % len(MARKERS)]
+
+
+def picture(name: str, caption: str) -> list[str]:
+    """The lines of a report that show a figure of the run."""
+    return [f"![{caption}](figures/{name}.png)", "", f"*{caption}*", ""]
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG, whole or not at all. Raises `StorageError`."""
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format="png", dpi=DPI)
+    write_atomically(path, drawn.getvalue())
 
 
 def draw_world(path: Path, body: Body, ends: Ends, title: str) -> None:
@@ -62,17 +78,19 @@ def draw_world(path: Path, body: Body, ends: Ends, title: str) -> None:
     figure = Figure(figsize=(8, 4.8))
     axes: Any = figure.add_axes((0.0, 0.12, 1.0, 0.84), projection="3d")
     _wire(axes, body)
-    for goal in range(ends.latent_dim):
+    colours, named = vertex_colours(ends.latent_dim), ends.latent_dim <= MOST_NAMED
+    for goal, colour in enumerate(colours):
         legs = np.flatnonzero(ends.goal == goal)
-        colour = COLOURS[goal]
         for way in ends.way[legs[:TRAJECTORIES]]:
             axes.plot(*way.T, color=colour, linewidth=1.5)
         for way in ends.first_way[ends.first_goal == goal][:TRAJECTORIES]:
             axes.plot(*way.T, color=colour, linewidth=1.2, linestyle=":")
             axes.plot(*way[:1].T, marker=".", color=colour, markersize=5)
-        style = {"color": colour, "marker": MARKERS[goal], "edgecolors": "white", "linewidths": 0.5}
-        label = f"ends, goal {goal}"
+        style = {"color": colour, "marker": marker(goal), "edgecolors": "white", "linewidths": 0.5}
+        label = f"ends, goal {goal}" if named else None
         axes.scatter(*ends.posture[legs].T, s=70, depthshade=False, label=label, **style)
+        if len(legs) and not named:
+            axes.text(*ends.posture[legs].mean(axis=0), str(goal), zorder=9)
     axes.plot([], [], [], color=GREY, linewidth=1.5, label="way between ends")
     axes.plot([], [], [], ":.", color=GREY, linewidth=1.2, label="way from a random start")
     axes.set_box_aspect(body.extent / body.extent.max(), zoom=1.38)
@@ -82,7 +100,7 @@ def draw_world(path: Path, body: Body, ends: Ends, title: str) -> None:
     axes.view_init(elev=24, azim=-62)
     figure.suptitle(title, y=0.97)
     figure.legend(*axes.get_legend_handles_labels(), loc="lower center", ncols=4, frameon=False)
-    figure.savefig(path, dpi=DPI)
+    save(figure, path)
 
 
 def draw_latent(path: Path, body: Body, points: Array, latent: Array, title: str) -> None:
@@ -90,98 +108,38 @@ def draw_latent(path: Path, body: Body, points: Array, latent: Array, title: str
     reach = body.extent
     figure = Figure(figsize=(7.2, 5.6), layout="compressed")
     panels = figure.subplots(2, 1, sharex=True, height_ratios=reach[1:].tolist())
-    colours, value, meaning = _latent_colours(latent)
+    colours, value, meaning = latent_colours(latent)
+    named = vertex_colours(latent.shape[1])
     for axes, (up, through) in zip(panels, ((1, 2), (2, 1)), strict=True):
         thin = np.abs(points[:, through]) < SLAB * reach[through]
         drawn = axes.scatter(*points[thin][:, [0, up]].T, c=value[thin], s=9, linewidths=0, **colours)
         for vertex, index in enumerate(latent.argmax(axis=0)):
-            style = {"color": COLOURS[vertex], "markersize": 11, "markeredgecolor": "white", "clip_on": False}
-            label = f"largest $z_{{{vertex}}}$ of all points"
-            axes.plot(points[index, 0], points[index, up], MARKERS[vertex], label=label, **style)
+            style = {"color": named[vertex], "markersize": 11, "markeredgecolor": "white", "clip_on": False}
+            label = f"largest $z_{{{vertex}}}$ of all points" if len(named) <= MOST_NAMED else None
+            axes.plot(points[index, 0], points[index, up], marker(vertex), label=label, **style)
         axes.set(xlim=(-1.05 * reach[0], 1.05 * reach[0]), ylim=(-1.1 * reach[up], 1.1 * reach[up]))
         axes.set_aspect("equal")
         axes.locator_params(nbins=5)
         axes.set_title(f"slice |{AXES[through]}| < {SLAB * reach[through]:.2f}", fontsize=10)
         axes.set_ylabel(f"{AXES[up]} (world units)")
     panels[1].set_xlabel("x (world units)")
-    ticks = None if latent.shape[1] == 2 else list(range(latent.shape[1]))
+    ticks = None if latent.shape[1] == 2 else list(range(0, latent.shape[1], 1 + latent.shape[1] // 20))
     figure.colorbar(drawn, ax=list(panels), shrink=0.8, ticks=ticks).set_label(meaning)
     figure.suptitle(title)
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(3, len(labels)), frameon=False)
-    figure.savefig(path, dpi=DPI)
+    if handles:
+        figure.legend(handles, labels, loc="outside lower center", ncols=min(3, len(labels)), frameon=False)
+    save(figure, path)
 
 
-def _latent_colours(latent: Array) -> tuple[dict[str, Any], Array, str]:
+def latent_colours(latent: Array) -> tuple[dict[str, Any], Array, str]:
     """A colour scale, the values for it, and what they mean: z_0, or the vertex for more than two."""
     vertices = latent.shape[1]
     if vertices == 2:
         return {"cmap": "cividis", "vmin": 0, "vmax": 1}, latent[:, 0], "latent component $z_0$"
-    colours = ListedColormap(COLOURS[:vertices])
+    colours = ListedColormap(list(vertex_colours(vertices)))
     scale = {"cmap": colours, "vmin": -0.5, "vmax": vertices - 0.5}
     return scale, latent.argmax(axis=1), "vertex with the largest component"
-
-
-def draw_learning(
-    path: Path, rows: Sequence[Score], best: int | None, curves: Sequence[Curve], title: str
-) -> None:
-    """Scores by iteration with their bar, and beside them the curves, if there are any."""
-    panels = 1 + len(curves)
-    figure = Figure(figsize=(5.2 if panels == 1 else min(3.9 * panels, 12.6), 3.9), layout="constrained")
-    first, *others = figure.subplots(1, panels, squeeze=False)[0]
-    _scores(first, rows, best)
-    for axes, curve, colour in zip(others, curves, COLOURS, strict=False):
-        for seconds, values in curve.pieces:
-            axes.plot(seconds, values, "o-", color=colour, markersize=3, linewidth=1.2)
-        axes.set_title(curve.title, fontsize=10)
-        axes.set_xlabel("time since the start (s)")
-        axes.set_ylabel(curve.label)
-        axes.grid(alpha=0.3)
-    figure.suptitle(title)
-    figure.legend(
-        *first.get_legend_handles_labels(),
-        loc="outside lower center",
-        ncols=2 if panels == 1 else 4,
-        frameon=False,
-    )
-    figure.savefig(path, dpi=DPI)
-
-
-def _scores(axes: Any, rows: Sequence[Score], best: int | None) -> None:
-    lowest = 0.8
-    landmarks = list(dict.fromkeys(name for row in rows for name in row.landmarks))
-    crossing = ["crossing"] if any(row.crossing is not None for row in rows) else []
-    measures = ["separation", "z_min", *crossing, *landmarks]
-    for policy, line in (("mean", "-"), ("sampled", ":")):
-        mine = sorted((row for row in rows if row.policy == policy), key=lambda row: row.iteration)
-        iterations = [row.iteration for row in mine]
-        for measure, colour, marker in zip(measures, COLOURS, MARKERS, strict=False):
-            values = [_value(row, measure) for row in mine]
-            lowest = min([lowest, *values])
-            face = colour if policy == "mean" else "white"
-            axes.plot(
-                iterations,
-                values,
-                line,
-                marker=marker,
-                color=colour,
-                markerfacecolor=face,
-                label=f"{measure}, {policy} actions",
-            )
-    axes.axhline(REACHED, color=GREY, linewidth=1, linestyle="--", label=f"bar of success, {REACHED}")
-    if best is not None:
-        axes.axvspan(best - 0.2, best + 0.2, color=GREY, alpha=0.18, linewidth=0, label="best iteration")
-    axes.set_ylim(max(0.0, lowest - 0.1), 1.03)
-    axes.set_xticks(sorted({row.iteration for row in rows}))
-    axes.set_title("scores from random starts", fontsize=10)
-    axes.set_xlabel("iteration (0: after GROUND)")
-    axes.set_ylabel("score (no unit)")
-    axes.grid(alpha=0.3)
-
-
-def _value(row: Score, measure: str) -> float:
-    value: float = row.landmarks[measure] if measure in row.landmarks else getattr(row, measure)
-    return value
 
 
 def _space(axes: Any, body: Body) -> None:

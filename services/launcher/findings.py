@@ -1,13 +1,12 @@
-"""What a block of a run found, rolled out in fresh worlds: in words and in pictures, for the report."""
+"""What a block of a run found, rolled out in fresh worlds: in words, for the report."""
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from babble.policy.act import EncoderModel
 from babble.worlds import World
 from babble.worlds.batch import PointWorld
 from protocol.messages import Score
@@ -27,7 +26,7 @@ MOST_NUMBERS = 8
 
 
 def verdict(run: Run, version: Version, rows: Iterable[Score]) -> str:
-    """Whether the kept iteration is a success, by the rows measured during the run."""
+    """Whether the iteration is a success, by the rows measured during the run."""
     row = next(row for row in rows if row.iteration == version.iteration)
     missing = shortfalls(row)
     place = _sought(run, version, row)
@@ -35,7 +34,8 @@ def verdict(run: Run, version: Version, rows: Iterable[Score]) -> str:
     crossed = {} if row.crossing is None else {"crossing": row.crossing}
     numbers = {"separation": row.separation, "z_min": row.z_min, **crossed, **row.landmarks}
     measured = ", ".join(f"{name} {value:.2f}" for name, value in numbers.items())
-    kept = f"The best iteration is {version.iteration} ({measured}, {row.policy} actions)"
+    which = "best" if run.best.get(version.block) == version.iteration else "newest"
+    kept = f"The {which} iteration is {version.iteration} ({measured}, {row.policy} actions)"
     sentence = f"{place[0].upper()}{place[1:]} {found}"
     why = f": {', '.join(missing)}" if missing else ""
     return f"**{sentence}{why}.** {kept}."
@@ -58,7 +58,9 @@ def rolled_out(run: Run, version: Version) -> tuple[list[str], list[str]]:
         "",
         f"Scores of these rollouts: separation {anew.separation:.3f}, z_min {anew.z_min:.3f}.",
     ]
-    return words, _pictures(run, version, encoder, ends, rollout, world)
+    from services.launcher.block_pictures import pictures_of
+
+    return words, pictures_of(rollout, version, encoder, ends, world)
 
 
 def _sought(run: Run, version: Version, row: Score) -> str:
@@ -138,74 +140,6 @@ def _ends(rollout: Rollout, block: str, latent_dim: int) -> "Ends":
         first_way=path[: steps + 1].swapaxes(0, 1),
         latent_dim=latent_dim,
     )
-
-
-def _pictures(
-    run: Run, version: Version, encoder: EncoderModel, ends: "Ends", rollout: Rollout, world: World
-) -> list[str]:
-    from services.launcher import figures
-
-    if ends.latent_dim > figures.MOST_VERTICES:
-        return [f"There is no drawing of {ends.latent_dim} vertices yet.", ""]
-    name = f"{run.settings.world.id}, block {version.block}, iteration {version.iteration}"
-    if isinstance(world, PointWorld):
-        return _pictures_of_points(run, version, encoder, ends, world, name)
-    return _pictures_of_postures(run, version, ends, rollout, world.posture_names, name)
-
-
-def _pictures_of_points(
-    run: Run, version: Version, encoder: EncoderModel, ends: "Ends", world: PointWorld, name: str
-) -> list[str]:
-    from services.launcher import figures
-
-    block, folder = version.block, run.folder / "figures"
-    seen = run.tree(world).observed(block)
-    points = world.uniform_points(figures.MAP_POINTS, np.random.default_rng(0))
-    figures.draw_world(folder / f"{block}-world.png", world.body, ends, f"{name}: where goals lead")
-    latent = encoder.latent(points[:, seen])
-    figures.draw_latent(folder / f"{block}-latent.png", world.body, points, latent, f"{name}: the latent map")
-    return [
-        *picture(
-            f"{block}-world",
-            "The world, the points reached per goal in fresh worlds (mean actions), and some of the ways: "
-            "from a random start (dotted), and from one end to the other.",
-        ),
-        *picture(
-            f"{block}-latent",
-            "The latent over the world: points spread uniformly, in two slices through the middle. The "
-            "marks are the points of the whole world, not only of the slice, where a component is largest.",
-        ),
-    ]
-
-
-def _pictures_of_postures(
-    run: Run, version: Version, ends: "Ends", rollout: Rollout, names: Sequence[str], name: str
-) -> list[str]:
-    from services.launcher import posture_figures
-
-    block, folder = version.block, run.folder / "figures"
-    posture_figures.draw_postures(folder / f"{block}-postures.png", ends, names, f"{name}: where goals lead")
-    posture_figures.draw_way(
-        folder / f"{block}-way.png",
-        rollout.latent[block],
-        rollout.legs[block].goal,
-        f"{name}: the latent on the way",
-    )
-    return [
-        *picture(
-            f"{block}-postures",
-            "Where each joint ends per goal in fresh worlds (mean actions), within its range.",
-        ),
-        *picture(
-            f"{block}-way",
-            "The latent of some columns on the way from a random start from goal to goal (mean actions).",
-        ),
-    ]
-
-
-def picture(name: str, caption: str) -> list[str]:
-    """The lines that show a figure of the run."""
-    return [f"![{caption}](figures/{name}.png)", "", f"*{caption}*", ""]
 
 
 def _point(position: Iterable[float]) -> str:

@@ -1,10 +1,11 @@
-"""The texts that people see, as lines of styled pieces for a width (pure)."""
+"""The words and tables that people see, in a terminal or not (pure)."""
 
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from services.launcher.members import BlockWork, Member, Picture, phase_words
+from services.launcher.learning import learning_words
+from services.launcher.members import BlockWork, Picture, phase_words
 
 Line = tuple[tuple[str, str], ...]
 """Pieces of (text, style of rich); nothing is told by the style alone."""
@@ -25,10 +26,6 @@ COLUMNS = (
 TABLE_WIDTH = 60
 LEFT_OUT = ("z_goal", "switch_success", "separation")
 """Where all would be wider than that: what success is not asked of, one after the other."""
-MOST_ACTORS = 8
-MOST_ROWS = 8
-MOST_ERRORS = 3
-LONGEST_BAR = 30
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,29 +41,16 @@ ASCII = Signs(full="#", empty="-", dash="-")
 """Where the terminal's encoding has no others."""
 
 
-def frame(picture: Picture, now_secs: float, width: int, signs: Signs | None = None) -> list[Line]:
-    """The live view; no line is wider than `width`."""
-    signs = signs or Signs()
-    rows = [_headline(picture, now_secs, width, signs), *_phase(picture, now_secs, width, signs)]
-    rows += [(), *_members(picture, now_secs, width, signs)]
-    if picture.scores:
-        rows += [(), *(((text, ""),) for text in score_table(picture.scores, newest=MOST_ROWS))]
-    if picture.errors:
-        rows.append(())
-        for error in list(picture.errors.values())[-MOST_ERRORS:]:
-            rows += [((text, "red"),) for text in _wrapped(f"! {error}", width, most=3)]
-    rows += [(), *(((picture.folder[i : i + width], "dim"),) for i in range(0, len(picture.folder), width))]
-    return [_clipped(row, width) for row in rows]
-
-
 def progress_line(picture: Picture, now_secs: float) -> str:
     """The state in one line, for where there is no terminal."""
     if picture.announced is None:
         return "waiting for the coordinator"
     parts = [f"{phase_words(picture.announced)}: {_work_words(work)}" for work in picture.work(now_secs)]
     parts = parts or [": ".join([phase_words(picture.announced), *picture.waiting()[:1]])]
-    if rate := _total_rate(picture, now_secs):
+    if rate := total_rate(picture, now_secs):
         parts.append(f"{rate:,.0f} steps/s")
+    if learned := learning_words(picture):
+        parts.append(learned)
     return "; ".join(parts)
 
 
@@ -112,46 +96,12 @@ def clock_words(secs: float) -> str:
     return f"{hours}:{minutes:02}:{seconds:02}" if hours else f"{minutes}:{seconds:02}"
 
 
-def _headline(picture: Picture, now_secs: float, width: int, signs: Signs) -> Line:
-    time = clock_words(now_secs - picture.began_secs)
-    title = f"Babble {signs.dash} {picture.run}"[: max(0, width - len(time) - 1)]
-    return (title, "bold"), (" " * max(1, width - len(title) - len(time)), ""), (time, "")
-
-
-def _phase(picture: Picture, now_secs: float, width: int, signs: Signs) -> list[Line]:
-    if picture.announced is None:
-        return [(("starting the processes", "bold cyan"),)]
-    rows: list[Line] = [((phase_words(picture.announced), "bold cyan"),)]
-    works = picture.work(now_secs)
-    longest = max((len(work.progress.block) for work in works), default=0)
-    for work in works:
-        rows += _bar(work, longest, width, signs)
-    if not picture.linked:
-        rows.append((("the link to the router is lost; it comes back by itself", "yellow"),))
-    for sentence in picture.waiting()[:3]:
-        rows += [((text, "yellow"),) for text in _wrapped(sentence, width, most=2)]
-    return rows
-
-
-def _bar(work: BlockWork, longest: int, width: int, signs: Signs) -> list[Line]:
-    progress = work.progress
-    share = 1.0 if progress.wanted == 0 else min(1.0, progress.done / progress.wanted)
-    words = _amount(work)
-    size = min(LONGEST_BAR, width - longest - len(words) - 4)
-    name = f"{progress.block:<{longest}}  "
-    if size < 6:
-        return [((name, ""), (words, ""))]
-    full = round(size * share)
-    return [
-        ((name, ""), (signs.full * full, "green"), (signs.empty * (size - full), "dim"), (f"  {words}", ""))
-    ]
-
-
 def _work_words(work: BlockWork) -> str:
-    return f"{work.progress.block} {_amount(work)}"
+    return f"{work.progress.block} {amount_words(work)}"
 
 
-def _amount(work: BlockWork) -> str:
+def amount_words(work: BlockWork) -> str:
+    """How far a block is, and how long it still takes."""
     progress = work.progress
     words = f"{progress.done:,} of {progress.wanted:,} {progress.unit}"
     if progress.finished or work.left_secs is None:
@@ -159,39 +109,8 @@ def _amount(work: BlockWork) -> str:
     return f"{words}, {clock_words(work.left_secs)} left"
 
 
-def _members(picture: Picture, now_secs: float, width: int, signs: Signs) -> list[Line]:
-    actors = picture.members("actor")
-    others = [member for member in picture.members() if member.service != "actor"]
-    rows: list[Line] = []
-    if others:
-        rows += [
-            ((text, ""),) for text in _packed((f"{m.service} {_state(m)}" for m in others), width, signs)
-        ]
-    for member in actors[:MOST_ACTORS]:
-        rows.append(_actor(member, now_secs))
-    if len(actors) > MOST_ACTORS:
-        rows.append(((f"and {len(actors) - MOST_ACTORS} more actors", ""),))
-    alive = sum(member.lost_secs is None for member in actors)
-    if alive > 1 and (rate := _total_rate(picture, now_secs)):
-        rows.append(((f"{f'{alive} actors together':<22}{rate:>9,.0f} steps/s", "bold"),))
-    return rows or [(("nobody is there yet", "yellow"),)]
-
-
-def _actor(member: Member, now_secs: float) -> Line:
-    if member.lost_secs is not None:
-        return ((f"{member.life:<22}", ""), (f"{_state(member):>9}", "" if member.went_in_order else "red"))
-    rate = member.speed.per_sec(now_secs)
-    words = f"{rate:>9,.0f} steps/s" if rate else f"{'alive':>9}"
-    return ((f"{member.life:<22}", ""), (words, "green"))
-
-
-def _state(member: Member) -> str:
-    if member.lost_secs is None:
-        return "alive"
-    return "left" if member.went_in_order else "lost"
-
-
-def _total_rate(picture: Picture, now_secs: float) -> float:
+def total_rate(picture: Picture, now_secs: float) -> float:
+    """Environment steps per second of all actors that are there."""
     alive = [member for member in picture.members("actor") if member.lost_secs is None]
     return sum(member.speed.per_sec(now_secs) or 0.0 for member in alive)
 
@@ -227,11 +146,12 @@ def _number(value: object, size: int = 8) -> str:
     return next((text for text in texts if len(text) <= size), f"{value:.0e}")
 
 
-def _wrapped(text: str, width: int, *, most: int) -> list[str]:
+def wrapped(text: str, width: int, *, most: int) -> list[str]:
+    """A sentence on so many lines at most."""
     return textwrap.wrap(text, width, max_lines=most, placeholder=" ...", subsequent_indent="  ")
 
 
-def _packed(words: Iterable[str], width: int, signs: Signs) -> list[str]:
+def packed(words: Iterable[str], width: int, signs: Signs) -> list[str]:
     """As many on a line as there is room for, none broken."""
     lines: list[str] = []
     for word in words:
@@ -243,7 +163,8 @@ def _packed(words: Iterable[str], width: int, signs: Signs) -> list[str]:
     return lines
 
 
-def _clipped(line: Line, width: int) -> Line:
+def clipped(line: Line, width: int) -> Line:
+    """The line, no wider than that."""
     pieces: list[tuple[str, str]] = []
     for text, style in line:
         pieces.append((text[:width], style))

@@ -2,15 +2,18 @@
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from protocol.latest import LatestPhase
 from protocol.messages import Phase, PhaseAnnounced, Progress, Status
+from services.runtime.settings import GoalSettings
 
 RATE_SECS = 5.0
 """Speeds are over so many of the last seconds, as far as they are known."""
 SHOW_LOST_SECS = 10.0
 """A member that went is shown as lost for so long."""
+SHOW_MISHAP_SECS = 30.0
+"""What the launcher deals with itself, such as a process that died, is shown as an error for so long."""
 RETURN_SECS = 3.0
 """Once the own link is up again, members have so long to come back before they are lost."""
 ERROR_SECS = 10.0
@@ -18,6 +21,10 @@ ERROR_SECS = 10.0
 DOUBT_SECS = 0.3
 """The tokens of all members go a moment before the own link is known to be lost."""
 MOST_NEWS = 100
+MOST_EVENTS = 16
+"""So many of the last events can be seen again."""
+UNEASY_SECS = 5.0
+"""A member that has said nothing for so long is worth a look."""
 
 
 class Speed:
@@ -53,6 +60,27 @@ class Member:
     status: Status | None = None
     speed: Speed = field(default_factory=Speed)
     """environment steps"""
+    heard_secs: float | None = None
+    """when its status was last heard; None before the first"""
+    cpu: Speed = field(default_factory=Speed)
+    """CPU milliseconds"""
+
+
+@dataclass
+class Tally:
+    """What did not go as it should on the wire, summed over all lives that were heard of."""
+
+    lost: int = 0
+    duplicated: int = 0
+    refused: int = 0
+    resent: int = 0
+
+    def add(self, status: Status) -> None:
+        """Add the totals of one life."""
+        self.lost += status.lost
+        self.duplicated += status.duplicated
+        self.refused += sum(status.refused.values())
+        self.resent += status.totals.get("resent", 0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,8 +99,14 @@ class Picture:
         self.run = run
         self.folder = folder
         self.began_secs = began_secs
+        self.goals: GoalSettings | None = None
+        """How reaching goals is rewarded; None if that is not known here."""
+        self.dashboard = ""
+        """Where a browser finds the dashboard; empty if there is none."""
         self.news: deque[str] = deque(maxlen=MOST_NEWS)
         """What happened, one sentence each; whoever shows it takes it out."""
+        self.events: deque[tuple[float, str]] = deque(maxlen=MOST_EVENTS)
+        """The last of what happened, with its time."""
         self.errors: dict[str, str] = {}
         """Process -> the newest of what went wrong there; the newest last."""
         self.scores: Sequence[Mapping[str, object]] = ()
@@ -84,6 +118,8 @@ class Picture:
         """Tokens that went while it was open whether it was the link or the member."""
         self._linked_secs = float("-inf")
         self._said_secs: dict[str, float] = {}
+        self._mishaps: dict[str, float] = {}
+        self._of_the_gone = Tally()
 
     @property
     def announced(self) -> PhaseAnnounced | None:
@@ -95,17 +131,18 @@ class Picture:
         """True once the coordinator has said that the run is done."""
         return self.announced is not None and self.announced.phase is Phase.DONE
 
-    def hear_phase(self, announced: PhaseAnnounced) -> None:
+    def hear_phase(self, announced: PhaseAnnounced, now_secs: float) -> None:
         """Take the coordinator's word."""
         before = self.announced
         if self._latest.admit(announced) and (before is None or announced.term > before.term):
             self._speeds.clear()
-            self.news.append(phase_words(announced))
+            self._tell(phase_words(announced), now_secs)
 
     def hear_status(self, status: Status, now_secs: float) -> None:
         """Take a member's status."""
         member = self._members.setdefault(status.life, Member(status.life, status.service))
-        member.status = status
+        member.status, member.heard_secs = status, now_secs
+        member.cpu.hear(now_secs, round(1000 * status.metrics.get("cpu_secs", 0.0)))
         if "env_steps" in status.totals:
             member.speed.hear(now_secs, status.totals["env_steps"])
         if self.announced is not None and status.term == self.announced.term:
@@ -122,18 +159,23 @@ class Picture:
         self.errors[where] = sentence
         if now_secs >= self._said_secs.get(where, float("-inf")) + ERROR_SECS:
             self._said_secs[where] = now_secs
-            self.news.append(sentence)
+            self._tell(sentence, now_secs)
 
-    def appeared(self, service: str, life: str) -> None:
+    def note_mishap(self, sentence: str, now_secs: float) -> None:
+        """Something went wrong and is being dealt with; it is news, and to be seen for a while."""
+        self.note_error(sentence, sentence, now_secs)
+        self._mishaps[sentence] = now_secs
+
+    def appeared(self, service: str, life: str, now_secs: float) -> None:
         """A member is there."""
         self._gone.pop(life, None)
         member = self._members.get(life)
         if member is None:
             self._members[life] = Member(life, service)
-            self.news.append(f"{life} is there")
+            self._tell(f"{life} is there", now_secs)
         elif member.lost_secs is not None:
             member.lost_secs = None
-            self.news.append(f"{life} is back")
+            self._tell(f"{life} is back", now_secs)
 
     def vanished(self, life: str, now_secs: float) -> None:
         """A member's token is gone: it is lost, unless it was this process's own link."""
@@ -144,22 +186,26 @@ class Picture:
     def link(self, up: bool, now_secs: float) -> None:
         """This process's own link to the router went or came back."""
         if up != self.linked:
-            self.news.append("the router is back" if up else "the link to the router is lost")
+            self._tell("the router is back" if up else "the link to the router is lost", now_secs)
         self.linked = up
         self._linked_secs = now_secs if up else float("inf")
 
     def settle(self, now_secs: float) -> None:
-        """Call it now and then: decides which of the vanished members are lost, and forgets old ones."""
+        """Call it now and then: decides which of the vanished members are lost, and forgets what is old."""
         if now_secs >= self._linked_secs + RETURN_SECS:
             for life in [life for life, secs in self._gone.items() if now_secs >= secs + DOUBT_SECS]:
                 self._members[life].lost_secs = self._gone.pop(life)
                 self._members[life].went_in_order = self.done
-                self.news.append(f"{life} {'has left' if self.done else 'is lost'}")
+                self._tell(f"{life} {'has left' if self.done else 'is lost'}", now_secs)
+        for sentence in [s for s, secs in self._mishaps.items() if now_secs > secs + SHOW_MISHAP_SECS]:
+            del self._mishaps[sentence]
+            self.errors.pop(sentence, None)
         old = [
             m.life for m in self._members.values() if now_secs - (m.lost_secs or now_secs) > SHOW_LOST_SECS
         ]
         for life in old:
-            del self._members[life]
+            if (status := self._members.pop(life).status) is not None:
+                self._of_the_gone.add(status)
             self.errors.pop(life, None)
 
     def members(self, service: str | None = None) -> list[Member]:
@@ -181,6 +227,40 @@ class Picture:
         ranked = sorted(self.members(), key=lambda member: member.service != "coordinator")
         said = [m.status.waiting_for for m in ranked if m.status is not None and m.lost_secs is None]
         return list(dict.fromkeys(sentence for sentence in said if sentence))
+
+    def tally(self) -> Tally:
+        """Lost, duplicated, refused and resent, over all lives that were heard of."""
+        tally = replace(self._of_the_gone)
+        for member in self._members.values():
+            if member.status is not None:
+                tally.add(member.status)
+        return tally
+
+    def measured(self) -> dict[str, dict[str, float]]:
+        """Block -> the newest of what the learners measure, by names such as "policy/loss"."""
+        blocks: dict[str, dict[str, float]] = {}
+        for status in self._of_learners():
+            for name, value in status.metrics.items():
+                block, _, measure = name.partition("/")
+                if measure:
+                    blocks.setdefault(block, {})[measure] = value
+        return blocks
+
+    def versions(self) -> dict[str, int]:
+        """The newest models, by "encoder/<block>" and "policy/<block>"."""
+        newest: dict[str, int] = {}
+        for status in self._of_learners():
+            for name, version in status.versions.items():
+                newest[name] = max(version, newest.get(name, 0))
+        return newest
+
+    def _of_learners(self) -> list[Status]:
+        heard = (member.status for member in self.members() if member.service.endswith("_learner"))
+        return [status for status in heard if status is not None]
+
+    def _tell(self, sentence: str, now_secs: float) -> None:
+        self.news.append(sentence)
+        self.events.append((now_secs, sentence))
 
     def _work(self, progress: Progress, now_secs: float) -> BlockWork:
         per_sec = self._speeds.setdefault(progress.block, Speed()).per_sec(now_secs)

@@ -9,12 +9,22 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from services.launcher.figures import COLOURS, DPI, GREY, MARKERS, TRAJECTORIES, Ends
+from services.launcher.figures import (
+    GREY,
+    MOST_NAMED,
+    TRAJECTORIES,
+    Ends,
+    marker,
+    save,
+    vertex_colours,
+)
 
 Array = NDArray[Any]
 
 MOST_STRIPS = 16
 """With more joints the ends are drawn as a map of means: strips would be too thin to read."""
+MOST_STRIP_GOALS = 8
+"""Nor are there strips for more goals than this in so many joints."""
 MOST_DOTS = 64
 """Ends drawn per goal."""
 LABEL_CHARS = 24
@@ -26,7 +36,7 @@ JITTER = 0.3
 def draw_postures(path: Path, ends: Ends, names: Sequence[str], title: str) -> None:
     """Where each joint ended per goal, from -1 (lower limit) to 1; `names` of the joints, if known."""
     joints = ends.posture.shape[1]
-    few = joints <= MOST_STRIPS
+    few = joints <= MOST_STRIPS and joints * ends.latent_dim <= MOST_STRIPS * MOST_STRIP_GOALS
     size = (min(3.0 + 0.75 * joints, 12.0), 4.8) if few else (12.0, 3.8 + 0.35 * ends.latent_dim)
     figure = Figure(figsize=size, layout="constrained")
     axes: Any = figure.subplots()
@@ -40,7 +50,7 @@ def draw_postures(path: Path, ends: Ends, names: Sequence[str], title: str) -> N
     axes.set_xticks(range(joints), labels, rotation=turned, fontsize=9 if few else 6)
     axes.set_xlabel("joint")
     figure.suptitle(title)
-    figure.savefig(path, dpi=DPI)
+    save(figure, path)
 
 
 def draw_way(path: Path, latent: Array, goal: Array, title: str) -> None:
@@ -49,31 +59,36 @@ def draw_way(path: Path, latent: Array, goal: Array, title: str) -> None:
     leg_steps = steps // len(goal)
     figure = Figure(figsize=(9.0, 1.2 + 1.5 * columns), layout="constrained")
     panels = figure.subplots(columns, 1, sharex=True, squeeze=False)[:, 0]
+    colours = vertex_colours(latent.shape[2])
     for column, axes in enumerate(panels):
         for leg, vertex in enumerate(goal[:, column]):
             axes.axvspan(
-                leg * leg_steps, (leg + 1) * leg_steps, color=COLOURS[vertex], alpha=0.15, linewidth=0
+                leg * leg_steps, (leg + 1) * leg_steps, color=colours[vertex], alpha=0.15, linewidth=0
             )
         for vertex in range(latent.shape[2]):
-            label = f"$z_{{{vertex}}}$; shaded while goal {vertex} holds"
-            axes.plot(latent[:, column, vertex], color=COLOURS[vertex], linewidth=1.2, label=label)
+            label = f"$z_{{{vertex}}}$"
+            if latent.shape[2] <= MOST_NAMED:
+                label += f"; shaded while goal {vertex} holds"
+            axes.plot(latent[:, column, vertex], color=colours[vertex], linewidth=1.2, label=label)
         axes.set(ylim=(-0.02, 1.02), xlim=(0, steps), ylabel="latent")
     panels[-1].set_xlabel("step")
     figure.suptitle(title)
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(3, len(labels)), frameon=False)
-    figure.savefig(path, dpi=DPI)
+    columns = min(3 if len(labels) <= MOST_NAMED else 8, len(labels))
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
+    save(figure, path)
 
 
 def _strips(figure: Figure, axes: Any, ends: Ends) -> None:
     """One strip per joint and goal, a dot per leg."""
     joints = ends.posture.shape[1]
     rng, width = np.random.default_rng(0), 0.8 / ends.latent_dim
+    colours = vertex_colours(ends.latent_dim)
     for goal in range(ends.latent_dim):
         reached = ends.posture[ends.goal == goal][:MOST_DOTS]
         centre = np.arange(joints) + (goal - (ends.latent_dim - 1) / 2) * width
         place = centre + rng.uniform(-JITTER, JITTER, reached.shape) * width
-        style = {"color": COLOURS[goal], "marker": MARKERS[goal], "linewidths": 0.3, "edgecolors": "white"}
+        style = {"color": colours[goal], "marker": marker(goal), "linewidths": 0.3, "edgecolors": "white"}
         axes.scatter(place, reached, s=16, alpha=0.8, label=f"goal {goal}", zorder=3, **style)
     for border in np.arange(joints - 1) + 0.5:
         axes.axvline(border, color=GREY, linewidth=0.4, alpha=0.5)

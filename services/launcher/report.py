@@ -1,80 +1,105 @@
-"""`report.md` and `figures/` of a run folder: what was found, how well, and how to see it again."""
+"""`report.md` and `figures/` of a run folder: what was found, how well, and how to see it again.
 
-import itertools
-import json
+At any moment of a run's life: what is not there yet, or cannot be read, is said and left out.
+"""
+
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from babble.scores import REACHED
 from babble.worlds import WORLDS
 from protocol.messages import Phase, Score
-from services.launcher.evaluate import Run, RunError, Version, open_run, score_columns
-from services.launcher.findings import picture, rolled_out, verdict
+from services.launcher.evaluate import Run, RunError, Version, score_columns
+from services.launcher.findings import rolled_out, verdict
+from services.launcher.records import table
+from services.launcher.scalars import write_scalars
+from services.launcher.survey import Survey, survey_of
+from services.launcher.timeline import Timeline
 from services.runtime.checkpoint import write_atomically
+from services.runtime.errors import UserError
 from services.runtime.settings import RunSettings
 
-if TYPE_CHECKING:
-    from services.launcher.figures import Curve
-
-Record = Mapping[str, Any]
-
+BRIEF_BYTES = 32 * 10**6
+"""Of longer `metrics.jsonl` (five hours) a report without rollouts makes no table: it takes over a second."""
 HEADS = {"separation_worst": "worst", "switch_success": "switch success", "external_reward": "reward"}
-CURVES = (
-    ("encoder/loss", "encoder loss (ENCODE, REFINE)", "InfoNCE (nats)", {"encode", "refine"}),
-    ("policy/reward_mean", "reward (GROUND, PRACTISE)", "mean reward per step", {"ground", "practise"}),
-    ("policy/external_reward_mean", "the task's own reward", "mean per step", {"ground", "practise"}),
-)
-"""Of `metrics.jsonl`: name after the block, title, axis, and the phases in which it is fresh."""
 
 
-def write_report(run_dir: Path) -> Path:
-    """Write `report.md` and the figures of a run, finished or not; returns its path.
+def write_report(run_dir: Path, *, rollouts: bool = True) -> Path:
+    """Write `report.md`, its figures and `scalars.parquet` of a run at any moment; returns the report's path.
 
-    Raises `RunError`, `SettingsError` or `StorageError`.
+    Without `rollouts` the saved models are not tried in fresh worlds, which takes most of the time: then
+    there are no figures of where goals lead, and of runs that took many hours no table of numbers.
+    Raises `UserError` for what is no run folder, settings that cannot be read, and a disk that refuses.
     """
-    run = open_run(run_dir)
-    events = _lines(run.folder / "events.jsonl")
-    (run.folder / "figures").mkdir(exist_ok=True)
-    sections = [_heading(run, events)]
+    survey = survey_of(run_dir)
+    run = survey.run
+    sections = [_heading(survey)]
     for block in run.blocks:
-        sections.append(_block(run, block))
-    sections += [_phases(run, events), _processor(run), _differences(run), _origin(run), _again(run)]
+        sections.append(_block(survey, block, rollouts=rollouts))
+    measured = survey.curves.blocks
+    sections += [_learning(survey, b.name, []) for b in run.settings.block if _is_new(run, measured, b.name)]
+    sections += [_phases(survey), _processor(survey), _numbers(run, brief=not rollouts), _differences(run)]
+    sections += [_origin(survey), _again(run)]
     path = run.folder / "report.md"
     text = "\n\n".join("\n".join(section).strip() for section in sections if section)
     write_atomically(path, text.encode() + b"\n")
     return path
 
 
-def _heading(run: Run, events: Sequence[Record]) -> list[str]:
+def _is_new(run: Run, measured: Mapping[str, Any], block: str) -> bool:
+    """Something was measured of it before it was ever evaluated."""
+    return block in measured and block not in run.blocks
+
+
+def _heading(survey: Survey) -> list[str]:
+    run, timeline = survey.run, survey.timeline
     lines = [f"# Run {run.name}: {run.settings.scenario}", ""]
     entry = WORLDS.get(run.settings.world.id)
     if entry is not None:
         lines += [f"World: {entry.id}, {entry.description}. Seed of the run: {run.settings.seed}.", ""]
-    phases = [str(event.get("text", "")) for event in events if event.get("what") == "phase"]
-    if not phases:
-        lines.append("**This run is unfinished**: no phase has been announced yet.")
-    elif not phases[-1].startswith(Phase.DONE.value):
-        lines.append(
-            f"**This run is unfinished**: its last phase is {phases[-1]}. "
-            f"`babble up --resume {run.shown}` goes on from there."
-        )
+    if not timeline.done:
+        lines.append(_unfinished(survey))
     if not run.blocks:
-        lines += ["", "Nothing has been evaluated yet, so there are no scores and no figures."]
+        lines += ["", "Nothing has been evaluated yet, so there are no scores."]
+    if survey.troubles:
+        lines += ["", "Not everything could be read:", "", *(f"- {trouble}" for trouble in survey.troubles)]
     return lines
 
 
-def _block(run: Run, block: str) -> list[str]:
+def _unfinished(survey: Survey) -> str:
+    newest, shown = survey.timeline.newest, survey.run.shown
+    if survey.going_on:
+        where = f"its phase is {newest}" if newest else "no phase has been announced yet"
+        return f"**This run is still going on**: {where}. `babble report {shown}` writes this anew."
+    if not newest:
+        return "**This run is unfinished**: no phase has been announced yet."
+    resume = f"`babble up --resume {shown}` goes on from there."
+    return f"**This run is unfinished**: its last phase is {newest}. {resume}"
+
+
+def _block(survey: Survey, block: str, *, rollouts: bool) -> list[str]:
     """Verdict, score table and figures of one block."""
+    run = survey.run
     rows = [row for row in run.scores if row.block == block]
-    version = run.version(block)
+    lines = [f"## What block {block} found" if len(run.blocks) > 1 else "## What was found", ""]
+    pictures: list[str] = []
     try:
-        places, pictures = rolled_out(run, version)
+        version = run.version(block)
     except RunError as error:
-        places, pictures = [f"The saved models could not be rolled out: {error}."], []
-    title = f"## What block {block} found" if len(run.blocks) > 1 else "## What was found"
-    lines = [title, "", verdict(run, version, rows), "", *places, "", *_scores(run, version, rows), ""]
-    return [*lines, *pictures, *_learning(run, block, rows)]
+        # What is kept was not measured, as far as can be read.
+        version = run.version(block, max(run.versions(block)))
+        lines += [f"What is kept is not known here: {error}.", ""]
+    lines += [verdict(run, version, rows), ""]
+    if rollouts:
+        try:
+            places, pictures = rolled_out(run, version)
+        except RunError as error:
+            places = [f"The saved models could not be rolled out: {error}."]
+        lines += [*places, ""]
+    else:
+        lines += [f"The saved models were not rolled out here; `babble report {run.shown}` does that.", ""]
+    return [*lines, *_scores(run, version, rows), "", *pictures, *_learning(survey, block, rows)]
 
 
 def _scores(run: Run, version: Version, rows: Iterable[Score]) -> list[str]:
@@ -95,66 +120,75 @@ def _scores(run: Run, version: Version, rows: Iterable[Score]) -> list[str]:
         best = " (best)" if row.iteration == run.best.get(version.block) else ""
         cells = [f"{row.iteration}{best}", row.phase.value, row.policy]
         numbers = [values[index] for values in columns.values()]
-        cells += ["" if number is None else f"{number:.3f}" for number in numbers]
+        cells += ["" if value is None else f"{value:.3f}" for value in numbers]
         lines.append(_table_row(cells))
     return lines
 
 
-def _learning(run: Run, block: str, rows: Sequence[Score]) -> list[str]:
-    from services.launcher import figures
+def _learning(survey: Survey, block: str, rows: Sequence[Score]) -> list[str]:
+    from services.launcher import learning_figure
+    from services.launcher.figures import picture
 
-    curves = _curves(block, _lines(run.folder / "metrics.jsonl"))
+    run, curves = survey.run, survey.curves
     path = run.folder / "figures" / f"{block}-learning.png"
-    figures.draw_learning(path, rows, run.best.get(block), curves, f"{run.name}, block {block}: learning")
-    losses = (
-        "the encoder's loss and the policy's reward" if curves else "no losses: there is no metrics.jsonl"
-    )
-    return picture(f"{block}-learning", f"Scores by iteration, and {losses}.")
+    title = f"{run.name}, block {block}: learning"
+    learning_figure.draw_learning(path, block, rows, run.best.get(block), curves, survey.timeline, title)
+    told = ["Scores by iteration"] if rows else [f"What the learners measured of block {block}"]
+    if not curves.of(block):
+        told.append("no losses: there are none in metrics.jsonl")
+    elif rows:
+        told.append("what the learners measured, over the time in the phases in which they learned")
+    return picture(f"{block}-learning", f"{', and '.join(told)}.")
 
 
-def _curves(block: str, metrics: Sequence[Record]) -> list["Curve"]:
-    """The learners' measures over time, from their statuses; a new piece where the term changes."""
-    from services.launcher.figures import Curve
-
-    start = min((line["now_secs"] for line in metrics if "now_secs" in line), default=0.0)
-    curves = []
-    for name, title, label, fresh in CURVES:
-        pieces: dict[Any, tuple[list[float], list[float]]] = {}
-        for line in metrics:
-            value = line.get("metrics", {}).get(f"{block}/{name}")
-            if value is not None and line.get("phase") in fresh:
-                seconds, values = pieces.setdefault(line.get("term"), ([], []))
-                seconds.append(line["now_secs"] - start)
-                values.append(value)
-        if pieces:
-            curves.append(Curve(title, label, list(pieces.values())))
-    return curves
-
-
-def _phases(run: Run, events: Sequence[Record]) -> list[str]:
+def _phases(survey: Survey) -> list[str]:
     """Time and steps by phase; empty without events."""
-    times: dict[str, list[float]] = {}
-    borders = [event for event in events if event.get("what") in ("phase", "end")]
-    for event, after in itertools.pairwise(borders):
-        if event["what"] == "phase":
-            times.setdefault(str(event["text"]).split()[0], []).append(after["secs"] - event["secs"])
-    times.pop(Phase.DONE.value, None)
-    if not times:
+    from services.launcher import timeline_figure
+    from services.launcher.figures import picture
+
+    timeline, run = survey.timeline, survey.run
+    if not timeline.spans:
         return []
+    timeline_figure.draw_timeline(run.folder / "figures" / "timeline.png", timeline, f"{run.name}: phases")
+    times: dict[Phase, list[float]] = {}
+    for span in timeline.spans:
+        times.setdefault(span.announced.phase, []).append(span.secs)
     planned = _planned_steps(run.settings)
-    lines = ["## Time", "", *_table_head(["phase", "times", "seconds", "environment steps each (settings)"])]
+    lines = ["## Time", "", *picture("timeline", "The phases over the time for which the run was running.")]
+    lines += _table_head(["phase", "times", "seconds", "environment steps each (settings)"])
     for phase, seconds in times.items():
         steps = f"{planned[phase]:,}" if phase in planned else "none"
-        lines.append(_table_row([phase, str(len(seconds)), f"{sum(seconds):.1f}", steps]))
-    total = sum(map(sum, times.values()))
-    lines.append(_table_row(["all", "", f"{total:.1f}", ""]))
-    return [*lines, "", "Seconds are wall-clock time between announcements, waiting included."]
+        lines.append(_table_row([phase.value, str(len(seconds)), f"{sum(seconds):.1f}", steps]))
+    lines.append(_table_row(["all", "", f"{sum(map(sum, times.values())):.1f}", ""]))
+    waited_secs = sum(end - begin for begin, end in timeline.waits)
+    waiting = (
+        f"waiting included: {waited_secs:.1f} s for processes that were not there" if waited_secs else ""
+    )
+    lines += ["", f"Seconds are wall-clock time between announcements{', ' if waiting else ''}{waiting}."]
+    return [*lines, *_restarts(timeline)]
 
 
-def _processor(run: Run) -> list[str]:
+def _restarts(timeline: Timeline) -> list[str]:
+    stopped_secs = [restart.stopped_secs for restart in timeline.restarts if restart.stopped_secs]
+    again = len(timeline.restarts) - len(stopped_secs)
+    told = []
+    if stopped_secs:
+        resumed = f"It was resumed {_times(len(stopped_secs))}"
+        told.append(f"{resumed}; the {sum(stopped_secs):.0f} s in between are left out.")
+    if again:
+        told.append(f"The coordinator was started again {_times(again)} on the way.")
+    if timeline.stalls:
+        told.append(f"It stalled {_times(len(timeline.stalls))}; `events.jsonl` says who waited for whom.")
+    return ["", " ".join(told)] if told else []
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
+
+
+def _processor(survey: Survey) -> list[str]:
     """CPU seconds by process, which the launcher records at the end; empty before."""
-    path = run.folder / "result.json"
-    used = json.loads(path.read_bytes()).get("cpu_secs", {}) if path.is_file() else {}
+    used = table(survey.result, "cpu_secs")
     if not used:
         return []
     rows = [_table_row([name, f"{secs:.1f}"]) for name, secs in used.items()]
@@ -162,14 +196,32 @@ def _processor(run: Run) -> list[str]:
     return ["## CPU", "", *_table_head(["process", "CPU seconds"]), *rows, all_of_it]
 
 
-def _planned_steps(settings: RunSettings) -> dict[str, int]:
+def _numbers(run: Run, *, brief: bool) -> list[str]:
+    """Where all numbers are, which is written here too; where it takes long, only if there is time for it."""
+    metrics = run.folder / "metrics.jsonl"
+    if brief and metrics.is_file() and metrics.stat().st_size > BRIEF_BYTES:
+        return ["## Numbers", "", f"`babble report {run.shown}` writes all that was measured as a table."]
+    try:
+        path = write_scalars(run.folder, run.name)
+    except UserError as error:
+        return ["## Numbers", "", f"There is no table of all numbers: {error}."]
+    read = f'pandas.read_parquet("{run.shown}/{path.name}")'
+    return [
+        "## Numbers",
+        "",
+        f"`{path.name}` has all that was measured, a row per number, to compare runs with: `{read}` "
+        f"or `polars.read_parquet`. `babble report {run.shown} --tensorboard` writes it for TensorBoard.",
+    ]
+
+
+def _planned_steps(settings: RunSettings) -> dict[Phase, int]:
     phases, legs = settings.phases, settings.evaluation
     return {
-        "babble": phases.babble_steps,
-        "ground": phases.ground_steps,
-        "walk": phases.walk_steps,
-        "practise": phases.practise_steps,
-        "evaluate": 2 * legs.columns * legs.legs * legs.leg_steps,
+        Phase.BABBLE: phases.babble_steps,
+        Phase.GROUND: phases.ground_steps,
+        Phase.WALK: phases.walk_steps,
+        Phase.PRACTISE: phases.practise_steps,
+        Phase.EVALUATE: 2 * legs.columns * legs.legs * legs.leg_steps,
     }
 
 
@@ -192,9 +244,8 @@ def _differences(run: Run) -> list[str]:
     ]
 
 
-def _origin(run: Run) -> list[str]:
-    record = json.loads((run.folder / "run.json").read_bytes())
-    rows = (_table_row([name, f"`{value}`"]) for name, value in _flat(record).items())
+def _origin(survey: Survey) -> list[str]:
+    rows = (_table_row([name, f"`{value}`"]) for name, value in _flat(survey.record).items())
     return ["## Where it comes from", "", *_table_head(["what", "value"]), *rows]
 
 
@@ -202,31 +253,17 @@ def _again(run: Run) -> list[str]:
     return [
         "## See it again",
         "",
+        f"- `babble view {run.shown}` replays the recording of the dashboard in a browser, if there is one",
         f"- `babble score {run.shown}` rolls the saved models out in fresh worlds and scores them anew",
         f"- `babble score {run.shown} --control` does so with a policy on an untrained encoder, "
         "which must fail",
     ]
 
 
-def _lines(path: Path) -> list[Record]:
-    """The records of a file of JSON lines; none if it is missing. What is not a whole record is left out."""
-    if not path.is_file():
-        return []
-    records: list[Record] = []
-    for line in path.read_bytes().split(b"\n"):
-        try:
-            record = json.loads(line)
-        except ValueError:
-            continue
-        if isinstance(record, dict):
-            records.append(record)
-    return records
-
-
-def _flat(table: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+def _flat(tree: Mapping[str, Any], before: str = "") -> dict[str, Any]:
     """Nested tables as dotted names; sequences as lists."""
     flat: dict[str, Any] = {}
-    for name, value in table.items():
+    for name, value in tree.items():
         if isinstance(value, Mapping):
             flat |= _flat(value, f"{before}{name}.")
         else:

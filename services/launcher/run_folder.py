@@ -6,7 +6,7 @@ import os
 import platform
 import subprocess
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -21,6 +21,8 @@ from services.runtime.settings import RunSettings, load
 RUNS = Path("runs")
 ENDPOINT = "endpoint"
 """The file with the router's address."""
+DASHBOARD = "dashboard"
+"""The file with the dashboard's address for a browser; there is none while there is no dashboard."""
 LONGEST_SCENARIO = 32
 """So much of the scenario's name goes into the run's, which is at most 64 characters."""
 MOST_ALIKE = 100
@@ -33,7 +35,10 @@ PACKAGES = (
     "numpy",
     "onnx",
     "onnxruntime",
+    "pyarrow",
     "pydantic",
+    "rerun-sdk",
+    "rerun-sdk",
     "stable-baselines3",
     "torch",
 )
@@ -93,6 +98,20 @@ class RunFolder:
                 f"cannot read {self.path / ENDPOINT} ({error.strerror}); give the address with --connect"
             )
             raise RunFolderError(sentence) from None
+
+    def dashboard(self) -> str:
+        """The dashboard's address for a browser of the run's machine; empty if there is none."""
+        try:
+            return (self.path / DASHBOARD).read_text().strip()
+        except OSError:
+            return ""
+
+    def note_dashboard(self, url: str) -> None:
+        """Record where the dashboard is, or that there is none. Raises `StorageError`."""
+        if url:
+            write_atomically(self.path / DASHBOARD, f"{url}\n".encode())
+        else:
+            (self.path / DASHBOARD).unlink(missing_ok=True)
 
     def settings(self) -> RunSettings:
         """The run's settings, as recorded at its start. Raises `SettingsError`."""
@@ -156,6 +175,18 @@ class RunFolder:
             return (self.path / "scores.jsonl").stat().st_size
         except OSError:
             return 0
+
+    def events(self, newest: int) -> list[dict[str, Any]]:
+        """So many of the last rows of `events.jsonl`; those that cannot be read are left out."""
+        rows: list[dict[str, Any]] = []
+        try:
+            lines = (self.path / "events.jsonl").read_bytes().split(b"\n")[:-1]
+        except OSError:
+            return rows
+        for line in lines[-newest:]:
+            with suppress(ValueError):
+                rows.append(json.loads(line))
+        return rows
 
     def best(self) -> dict[str, dict[str, Any]]:
         """Block -> the iteration that is kept, its versions and why; empty if there is none yet."""

@@ -1,29 +1,26 @@
 """The life of `babble up`: start, look after, show, end. The only room with a loop."""
 
-import logging
 import signal
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from protocol import keys
-from protocol.gate import Gate
-from protocol.messages import Message, PhaseAnnounced, Status
 from services.launcher.child import ChildProcess
 from services.launcher.config import Address
+from services.launcher.dashboard import HOST, Ports
 from services.launcher.display import Display
+from services.launcher.listening import Listener
 from services.launcher.members import Picture
 from services.launcher.run_folder import ENDPOINT, RunFolder
 from services.launcher.supervisor import USER_ERROR, Part, Supervisor
-from services.runtime.bus import Bus, Frame, Inbox, Link, Membership, Question, Wakeup
+from services.runtime.bus import Bus, Wakeup
 from services.runtime.checkpoint import write_atomically
 from services.runtime.errors import BusError
 from services.runtime.process import new_life
 from services.runtime.settings import RunSettings
 
-log = logging.getLogger(__name__)
-
+DASHBOARD = "dashboard"
 POLL_SECS = 0.1
 BRISK_SECS = 0.02
 """Between two looks at processes that are ending."""
@@ -33,6 +30,8 @@ LEAVE_SECS = 10.0
 """After the end of the run, and without a coordinator, the others have so long to leave."""
 STOP_SECS = 3.4
 """Processes asked to stop have so long; one that is killed then goes on from its checkpoint and spool."""
+ONLOOKER_SECS = 3.0
+"""The dashboard has so long from the end of the run, or the word to stop; it is not waited for any longer."""
 ROUTER_SECS = 0.5
 """The router goes last and has so long."""
 KILL_SECS = 0.3
@@ -77,14 +76,23 @@ class Interrupts:
 class Launcher:
     """Runs one run to its end; see `run`."""
 
-    def __init__(self, folder: RunFolder, settings: RunSettings, address: Address, display: Display) -> None:
+    def __init__(
+        self,
+        folder: RunFolder,
+        settings: RunSettings,
+        address: Address,
+        display: Display,
+        dashboard: Ports | None = None,
+    ) -> None:
+        """`dashboard` are the ports of one; None for a run without."""
         self._folder, self._display, self._endpoint = folder, display, address.connect
         self._connect_secs = settings.wire.connect_secs
-        self._supervisor = Supervisor(parts_of(folder, settings, address), ChildProcess)
+        self._supervisor = Supervisor(parts_of(folder, settings, address, dashboard), ChildProcess)
         self._picture = Picture(folder.run, folder.shown, time.monotonic())
+        self._picture.goals = settings.goals
+        self._picture.dashboard = dashboard.url if dashboard else ""
         self._wakeup = Wakeup()
-        self._inbox = Inbox(self._wakeup, max_frames=keys.DELIVERY["status"].keep)
-        self._gate = Gate(folder.run, {"status", "phase"})
+        self._listener = Listener(self._picture, self._wakeup)
         self._bus: Bus | None = None
         self._unconnected = ""
         self._scores_size, self._scores_at_secs = -1, float("-inf")
@@ -97,6 +105,7 @@ class Launcher:
         Raises `StorageError` or `UserError` if not even that is possible.
         """
         write_atomically(self._folder.path / ENDPOINT, f"{self._endpoint}\n".encode())
+        self._folder.note_dashboard(self._picture.dashboard)
         try:
             with self._display:
                 return self._work(interrupts)
@@ -134,18 +143,17 @@ class Launcher:
     def _supervise(self) -> None:
         now_secs = time.monotonic()
         for sentence in self._supervisor.poll(now_secs, done=self._picture.done):
-            self._picture.note_error(sentence, sentence, now_secs)
+            self._picture.note_mishap(sentence, now_secs)
+        if self._picture.dashboard and DASHBOARD in self._supervisor.given_up:
+            self._picture.dashboard = ""
+            self._folder.note_dashboard("")
 
     def _connect(self) -> None:
         from services.runtime.zenoh_bus import ZenohBus
 
-        run = self._folder.run
         try:
             bus = ZenohBus(self._endpoint, new_life("launcher"), self._wakeup, self._connect_secs)
-            bus.watch_link(self._inbox)
-            bus.subscribe("phase", keys.phase(run), self._inbox)
-            bus.subscribe("status", keys.status(run, "*", "*"), self._inbox)
-            bus.watch(keys.alive(run, "*", "*"), self._inbox)
+            self._listener.connect(bus)
         except BusError as error:
             self._unconnected = str(error)
             return
@@ -153,29 +161,10 @@ class Launcher:
 
     def _hear(self) -> None:
         now_secs = time.monotonic()
-        for arrival in self._inbox.take_all():
-            match arrival:
-                case Frame(key=key, data=data):
-                    self._hear_message(self._gate.admit(key, data), now_secs)
-                case Membership(key=key, present=True):
-                    self._picture.appeared(*keys.member(key))
-                case Membership(key=key):
-                    self._picture.vanished(keys.member(key)[1], now_secs)
-                case Link(up=up):
-                    self._picture.link(up, now_secs)
-                case Question():
-                    log.error("a question came to the launcher, which answers none")
-        self._picture.settle(now_secs)
+        self._listener.hear(now_secs)
         self._read_scores(now_secs)
         if self._picture.done and self._done_secs is None:
             self._done_secs = now_secs
-
-    def _hear_message(self, message: Message | None, now_secs: float) -> None:
-        match message:
-            case PhaseAnnounced():
-                self._picture.hear_phase(message)
-            case Status():
-                self._picture.hear_status(message, now_secs)
 
     def _read_scores(self, now_secs: float) -> None:
         if now_secs < self._scores_at_secs + SCORES_SECS:
@@ -188,7 +177,7 @@ class Launcher:
 
     def _end(self, interrupts: Interrupts) -> None:
         """End all processes in order; at another signal at once."""
-        heard = len(interrupts.numbers)
+        heard, began_secs = len(interrupts.numbers), self._done_secs or time.monotonic()
 
         def hurried() -> bool:
             return len(interrupts.numbers) > heard
@@ -197,6 +186,9 @@ class Launcher:
             threading.Thread(target=self._bus.close, name="close", daemon=True).start()
         self._supervisor.stop(signal.SIGTERM)
         self._wait(STOP_SECS, lambda: self._supervisor.finished() or hurried())
+        left_secs = began_secs + ONLOOKER_SECS - time.monotonic()
+        self._wait(left_secs, lambda: self._supervisor.alone() or hurried())
+        self._supervisor.dismiss()
         self._supervisor.stop(signal.SIGTERM, everything=True)
         self._wait(ROUTER_SECS, lambda: self._supervisor.ended() or hurried())
         self._supervisor.stop(signal.SIGKILL, everything=True)
@@ -227,8 +219,10 @@ class Launcher:
         )
 
 
-def parts_of(folder: RunFolder, settings: RunSettings, address: Address) -> list[Part]:
-    """The processes of a run."""
+def parts_of(
+    folder: RunFolder, settings: RunSettings, address: Address, dashboard: Ports | None = None
+) -> list[Part]:
+    """The processes of a run, with a dashboard if it has ports."""
     told = ("--run-dir", str(folder.path), "--connect", address.connect)
 
     def part(name: str, service: str, *more: str) -> Part:
@@ -239,8 +233,12 @@ def parts_of(folder: RunFolder, settings: RunSettings, address: Address) -> list
             expendable=service == "actor",
             outlasts=service == "router",
             leads=service == "coordinator",
+            optional=service == DASHBOARD,
         )
 
     actors = [part(f"actor-{i}", "actor", *told, "--index", str(i)) for i in range(settings.actors.count)]
     services = [part(name, name, *told) for name in ("coordinator", "encoder_learner", "policy_learner")]
+    if dashboard is not None:
+        ports = ("--web-port", str(dashboard.web), "--grpc-port", str(dashboard.grpc))
+        actors.append(part(DASHBOARD, DASHBOARD, *told, "--bind", HOST, *ports))
     return [part("router", "router", "--listen", address.listen), *services, *actors]

@@ -1,8 +1,12 @@
-"""`babble status`: asks the coordinator of a run how it goes."""
+"""`babble status`: asks the coordinator of a run how it goes, and listens to its members for a moment."""
 
 import argparse
 import json
-from collections.abc import Mapping
+import shutil
+import sys
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import datetime
 from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
@@ -10,7 +14,10 @@ from pydantic import TypeAdapter, ValidationError
 from protocol import keys
 from protocol.codec import Refused, decode, encode
 from protocol.messages import ALL_BLOCKS, Command, Name, Reply
-from services.launcher.lines import best_words, score_table
+from services.launcher.frame import facts
+from services.launcher.lines import ASCII, Signs, best_words, score_table
+from services.launcher.listening import Listener
+from services.launcher.members import Picture
 from services.launcher.run_folder import RUNS, RunFolder, RunFolderError, running
 from services.runtime.bus import Wakeup
 from services.runtime.errors import UserError
@@ -19,6 +26,10 @@ from services.runtime.process import new_life
 SERVICE = "coordinator"
 CONNECT_SECS = 3.0
 ANSWER_SECS = 3.0
+LISTEN_SECS = 2.5
+"""Members speak each second; speeds need two words of each."""
+MOST_COLUMNS = 100
+MOST_EVENTS = 5
 
 
 class NotRunning(UserError):
@@ -42,23 +53,40 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print how the run goes; returns 0. Raises `UserError` if there is none or it does not answer."""
-    name, endpoint = _whom_to_ask(arguments.run, arguments.connect)
-    print("\n".join(status_lines(ask(name, endpoint))))
+    name, endpoint, folder = _whom_to_ask(arguments.run, arguments.connect)
+    told, picture = look(name, endpoint)
+    if folder is not None:
+        picture.goals = folder.settings().goals
+    lines = status_lines(
+        told,
+        dashboard=folder.dashboard() if folder else "",
+        facts=_plain_facts(picture) if _heard(picture) else (),
+        events=folder.events(MOST_EVENTS) if folder else (),
+    )
+    print("\n".join(lines))
     return 0
 
 
-def ask(run: str, endpoint: str) -> dict[str, Any]:
-    """What the coordinator says of the run.
+def look(run: str, endpoint: str) -> tuple[dict[str, Any], Picture]:
+    """What the coordinator says of the run, and what its members said within a moment.
 
-    Raises `NotRunning` if it is silent, `BusError` without a router.
+    Raises `NotRunning` if the coordinator is silent, `BusError` without a router.
     """
     from services.runtime.zenoh_bus import ZenohBus
 
     life = new_life("launcher")
     command = Command(run=run, term=0, block=ALL_BLOCKS, life=life, seq=0, id=life, name="describe")
-    bus = ZenohBus(endpoint, life, Wakeup(), CONNECT_SECS)
+    wakeup = Wakeup()
+    bus = ZenohBus(endpoint, life, wakeup, CONNECT_SECS)
     try:
+        picture = Picture(run, "", time.monotonic())
+        listener = Listener(picture, wakeup)
+        listener.connect(bus)
+        until_secs = time.monotonic() + LISTEN_SECS
         answer = bus.ask(keys.command(run, SERVICE), encode(command), ANSWER_SECS)
+        while answer and (left_secs := until_secs - time.monotonic()) > 0:
+            wakeup.wait(left_secs)
+            listener.hear(time.monotonic())
     finally:
         bus.close()
     if not answer:
@@ -66,39 +94,68 @@ def ask(run: str, endpoint: str) -> dict[str, Any]:
             f"the coordinator of {run} did not answer at {endpoint} within {ANSWER_SECS:.0f} s; "
             "it may be starting again, so try once more, or look into its log"
         )
-    return _described(answer)
+    return _described(answer), picture
 
 
-def status_lines(told: Mapping[str, Any]) -> list[str]:
-    """The coordinator's description for a person."""
+def status_lines(
+    told: Mapping[str, Any],
+    *,
+    dashboard: str = "",
+    facts: Sequence[str] = (),
+    events: Iterable[Mapping[str, str]] = (),
+) -> list[str]:
+    """The coordinator's description for a person, with what was heard and seen besides.
+
+    `facts` are those of the members (see `frame.facts`); without them the coordinator's word on members is
+    told. `events` are rows of `events.jsonl`.
+    """
     phase = str(told["phase"]).upper() + (f" after {told['evaluates'].upper()}" if told["evaluates"] else "")
     rounds = f", iteration {told['iteration']} of {told['iterations']}" if told["iteration"] else ""
     lines = [f"run {told['run']}: {phase}{rounds}, term {told['term']}"]
+    lines += [f"dashboard {dashboard}"] if dashboard else []
     lines += [told["waiting"]] if told["waiting"] else []
-    lines += ["", *(_member(member) for member in told["members"])]
-    lines += [f"and {told['unlisted']:,} more"] if told["unlisted"] else []
+    lines += facts or ["", *(_member(member) for member in told["members"])]
+    lines += [f"and {told['unlisted']:,} more"] if told["unlisted"] and not facts else []
     if told["scores"]:
         best = {row["block"]: row for row in told["best"]}
         lines += ["", *score_table(told["scores"]), *best_words(best)]
-    return lines
+    happened = [f"{_clock(event['time'])}  {event['text']}" for event in events]
+    return lines + (["", *happened] if happened else [])
 
 
-def _whom_to_ask(run: str | None, endpoint: str | None) -> tuple[str, str]:
+def _heard(picture: Picture) -> bool:
+    return any(member.status is not None for member in picture.members())
+
+
+def _plain_facts(picture: Picture) -> list[str]:
+    width = min(MOST_COLUMNS, shutil.get_terminal_size().columns)
+    signs = Signs() if "utf" in (sys.stdout.encoding or "").lower() else ASCII
+    rows = facts(picture, time.monotonic(), width, signs)
+    return ["".join(text for text, _ in row).rstrip() for row in rows]
+
+
+def _clock(time_text: str) -> str:
+    """The local time of day of an ISO time."""
+    return datetime.fromisoformat(time_text).astimezone().strftime("%H:%M:%S")
+
+
+def _whom_to_ask(run: str | None, endpoint: str | None) -> tuple[str, str, RunFolder | None]:
+    """The run's name, its router's address, and its folder if it is a run of this machine."""
     if endpoint is not None:
-        return _run_name(run), endpoint
+        return _run_name(run), endpoint, None
     if run is not None:
         folder = RunFolder.find(run)
         if not folder.in_use():
             raise NotRunning(
                 f"the run {folder.shown} is not going on; go on with `babble up --resume {folder.shown}`"
             )
-        return folder.run, folder.endpoint()
+        return folder.run, folder.endpoint(), folder
     found = running()
     if not found:
         raise NotRunning(
             f"no run is going on in {RUNS}/; start one with `babble up SCENARIO`, or name its folder"
         )
-    return found[-1].run, found[-1].endpoint()
+    return found[-1].run, found[-1].endpoint(), found[-1]
 
 
 def _run_name(run: str | None) -> str:

@@ -1,7 +1,8 @@
 """Keeps the processes of a run going (pure: time and processes are given).
 
 A process that dies is started again after a growing delay. What a person must mend (exit code 2) ends
-the run at once; what dies again and again ends it too, unless it is an actor and another one lives.
+the run at once; what dies again and again ends it too, unless it is an actor and another one lives. What is
+optional (the dashboard) is given up instead, and nobody waits for it.
 """
 
 import signal
@@ -28,6 +29,8 @@ class Part:
     """it does not end by itself, but is ended after all others (the router)"""
     leads: bool = False
     """the others learn from it that the run is done (the coordinator)"""
+    optional: bool = False
+    """the run goes on whatever happens to it (the dashboard)"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,6 +93,8 @@ class Supervisor:
         """Why the run cannot go on, in one sentence; None while it can."""
         self.fatal_code = 1
         """The exit code that goes with it."""
+        self.given_up: set[str] = set()
+        """The optional parts that the run goes on without."""
         self._places = [_Place(part) for part in parts]
         self._start = start
         self._patience = patience or Patience()
@@ -111,6 +116,10 @@ class Supervisor:
         return news
 
     def finished(self) -> bool:
+        """True once nothing is left but what outlasts the others, and what is optional."""
+        return all(place.over for place in self._places if not (place.part.outlasts or place.part.optional))
+
+    def alone(self) -> bool:
         """True once nothing is left but what outlasts the others."""
         return all(place.over for place in self._places if not place.part.outlasts)
 
@@ -130,6 +139,12 @@ class Supervisor:
             if place.child is not None and (everything or not place.part.outlasts):
                 place.child.send(number)
 
+    def dismiss(self) -> None:
+        """Kill what is optional, in whatever state it is."""
+        for place in self._places:
+            if place.part.optional and place.child is not None:
+                place.child.send(signal.SIGKILL)
+
     def cpu_secs(self) -> dict[str, float]:
         """CPU seconds of the ended processes by name; those of all their lives."""
         return {place.part.name: place.cpu_secs for place in self._places}
@@ -139,6 +154,8 @@ class Supervisor:
         if self._stopping or (done and exit.code == 0):
             return []
         how = f"{part.name} {_how(exit.code)}"
+        if exit.code == USER_ERROR and part.optional:
+            return self._do_without(part, last_line(part.log) or f"{how}; see {part.log}")
         if exit.code == USER_ERROR:
             self._give_up(last_line(part.log) or f"{how}; see {part.log}", USER_ERROR)
             return []
@@ -157,10 +174,16 @@ class Supervisor:
         often = f"for the {len(place.deaths_secs)}th time within {self._patience.within_secs:.0f} s"
         said = last_line(part.log)
         sentence = f"{how} {often}; see {part.log}" + (f", which ends with: {said}" if said else "")
+        if part.optional:
+            return self._do_without(part, sentence)
         if part.expendable and any(p.part.expendable and not p.over for p in self._places if p is not place):
             return [f"{sentence}; the run goes on without it"]
         self._give_up(sentence, 1)
         return []
+
+    def _do_without(self, part: Part, sentence: str) -> list[str]:
+        self.given_up.add(part.name)
+        return [f"{sentence}; the run goes on without it"]
 
     def _give_up(self, sentence: str, code: int) -> None:
         if self.fatal is None:

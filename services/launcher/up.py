@@ -2,13 +2,17 @@
 
 import argparse
 import shutil
+import signal
 import sys
 import textwrap
 import time
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from pathlib import Path
 
+from services.launcher import dashboard
 from services.launcher.config import Address, address_of, check_world, scenario_settings
+from services.launcher.dashboard import GRPC_PORT, WEB_PORT, Choice, Ports
 from services.launcher.display import display_for
 from services.launcher.lines import best_words, cpu_table, score_table
 from services.launcher.run_folder import RunFolder
@@ -17,6 +21,7 @@ from services.runtime.errors import UserError
 from services.runtime.settings import RunSettings
 
 MOST_COLUMNS = 100
+MOST_PORT = 65535
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -30,8 +35,10 @@ def run(arguments: argparse.Namespace) -> int:
         raise UserError("give a scenario, for example `babble up cuboid`, or --resume RUN")
     settings = scenario_settings(arguments.scenario, actors=arguments.actors, seed=arguments.seed)
     address = address_of(arguments.listen)
-    folder = RunFolder.create(settings, arguments.run_dir, sys.argv)
-    return _go(folder, settings, address)
+    choice = _choice(arguments)
+    with dashboard.ports_for(choice) or nullcontext() as ports:
+        folder = RunFolder.create(settings, arguments.run_dir, sys.argv)
+        return _go(folder, settings, address, choice, ports)
 
 
 def _resume(arguments: argparse.Namespace) -> int:
@@ -48,20 +55,54 @@ def _resume(arguments: argparse.Namespace) -> int:
         print(f"the run {folder.shown} is completed already; its scores:\n")
         _print_scores(folder)
         return 0
-    return _go(folder, settings, address_of(arguments.listen))
+    address, choice = address_of(arguments.listen), _choice(arguments)
+    with dashboard.ports_for(choice) or nullcontext() as ports:
+        return _go(folder, settings, address, choice, ports)
 
 
-def _go(folder: RunFolder, settings: RunSettings, address: Address) -> int:
+def _choice(arguments: argparse.Namespace) -> Choice:
+    """What is said of the dashboard. Raises `UserError` if that is not of one mind."""
+    web_port, grpc_port = arguments.dashboard_port, arguments.dashboard_grpc_port
+    if arguments.no_dashboard and (web_port is not None or grpc_port is not None):
+        raise UserError("--no-dashboard leaves no dashboard to give a port to; leave out one or the other")
+    return Choice(wanted=not arguments.no_dashboard, web_port=web_port, grpc_port=grpc_port)
+
+
+def _go(
+    folder: RunFolder, settings: RunSettings, address: Address, choice: Choice, ports: Ports | None
+) -> int:
     with folder.locked():
-        print(f"run     {folder.shown}\nrouter  {address.connect}", flush=True)
+        print(f"run        {folder.shown}\nrouter     {address.connect}", flush=True)
+        print(f"dashboard  {dashboard.words(choice, ports)}", flush=True)
         with Interrupts() as interrupts:
-            outcome = Launcher(folder, settings, address, display_for(sys.stdout)).run(interrupts)
+            launcher = Launcher(folder, settings, address, display_for(sys.stdout), ports)
+            outcome = launcher.run(interrupts)
         if outcome.completed:
             return _conclude(folder, outcome)
     if outcome.sentence:
-        print(f"babble up: {outcome.sentence}", file=sys.stderr)
-    print(f"stopped; go on with: babble up --resume {folder.shown}")
+        print(f"babble up: {outcome.sentence}", file=sys.stderr, flush=True)
+    print(f"stopped; go on with: babble up --resume {folder.shown}", flush=True)
+    # The folder is free again, so that the report does not take the run for one that is going on.
+    if outcome.code != 128 + signal.SIGTERM:
+        _report_so_far(folder)
     return outcome.code
+
+
+def _report_so_far(folder: RunFolder) -> None:
+    """The report of a run that ended early, which another Ctrl-C leaves out.
+
+    Not after SIGTERM: a machine that shuts down waits for nobody.
+    """
+    from services.launcher.report import write_report
+
+    print("writing a report of what there is so far (Ctrl-C leaves it out)", flush=True)
+    try:
+        report = write_report(folder.path, rollouts=False)
+    except (UserError, KeyboardInterrupt) as error:
+        why = f" ({error})" if str(error) else ""
+        print(f"it was not written{why}; babble report {folder.shown} does it later")
+    else:
+        print(f"all files are in {folder.shown}; read {report.name} first")
 
 
 def _conclude(folder: RunFolder, outcome: Outcome) -> int:
@@ -113,12 +154,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="ADDRESS",
         help="address of the router, such as tcp/127.0.0.1:7447 (default: a free port)",
     )
+    parser.add_argument("--no-dashboard", action="store_true", help="start no dashboard")
+    parser.add_argument(
+        "--dashboard-port",
+        type=_at_least(0, MOST_PORT),
+        metavar="N",
+        help=f"port of the dashboard's page, 0 for any free one (default: {WEB_PORT} if it is free)",
+    )
+    parser.add_argument(
+        "--dashboard-grpc-port",
+        type=_at_least(0, MOST_PORT),
+        metavar="N",
+        help=f"port from which the page gets its data (default: {GRPC_PORT} if it is free)",
+    )
 
 
-def _at_least(least: int) -> Callable[[str], int]:
+def _at_least(least: int, most: int | None = None) -> Callable[[str], int]:
+    bounds = f"of at least {least}" if most is None else f"from {least} to {most}"
+
     def parse(text: str) -> int:
-        if not text.isdecimal() or int(text) < least:
-            raise argparse.ArgumentTypeError(f"must be a whole number of at least {least}, got {text!r}")
+        if not text.isdecimal() or int(text) < least or (most is not None and int(text) > most):
+            raise argparse.ArgumentTypeError(f"must be a whole number {bounds}, got {text!r}")
         return int(text)
 
     return parse

@@ -18,38 +18,20 @@ LEARNERS = ("encoder_learner", "policy_learner")
 RUN_SECS = 180.0
 
 
-class DistributedRun:
-    """The processes of one run, and what they said of themselves."""
+class WatchedRun:
+    """A run that is heard on its bus and read in its folder."""
 
-    def __init__(self, owner: Owner, run_dir: Path, scenario: str = "cuboid", seed: int = 1) -> None:
+    def __init__(self, run: str, run_dir: Path, endpoint: str) -> None:
         self.run_dir = run_dir
-        self.router = owner.router()
-        self.running: dict[str, Process] = {}
-        self._owner = owner
-        text = (ROOT / "scenarios" / f"{scenario}.toml").read_text()
-        (run_dir / "config.toml").write_text(f"seed = {seed}\n{text}")
-        (run_dir / "run.json").write_text(json.dumps({"run": RUN}))
-        self._bus = ZenohBus(self.router.endpoint, "test-0", Wakeup(), connect_secs=10.0)
+        self._bus = ZenohBus(endpoint, "test-0", Wakeup(), connect_secs=10.0)
         self._inbox = Inbox(max_frames=keys.DELIVERY["status"].keep)
-        self._bus.subscribe("status", keys.status(RUN, "*", "*"), self._inbox)
+        self._bus.subscribe("status", keys.status(run, "*", "*"), self._inbox)
         self._statuses: dict[str, Status] = {}
 
-    def start(self, name: str) -> Process:
-        """Start a service; actors are named actor-0, actor-1..."""
-        service, _, index = name.partition("-")
-        arguments = ["--run-dir", str(self.run_dir), "--connect", self.router.endpoint]
-        process = self._owner.start_service(service, *arguments, "--index", index or "0")
-        self.running[name] = process
-        return process
-
-    def start_all(self, actors: int) -> None:
-        """The coordinator, both learners and the actors."""
-        for name in ("coordinator", *LEARNERS, *(f"actor-{index}" for index in range(actors))):
-            self.start(name)
-
-    def kill(self, name: str) -> None:
-        """kill -9."""
-        self.running.pop(name).kill()
+    def close(self) -> None:
+        """Hear no more."""
+        self.statuses()
+        self._bus.close()
 
     def events(self, what: str) -> list[str]:
         """The texts of one kind of milestone so far."""
@@ -72,13 +54,6 @@ class DistributedRun:
                 assert isinstance(status, Status)
                 self._statuses[status.life] = status
         return self._statuses
-
-    def end(self) -> None:
-        """Wait until all have ended by themselves with code 0."""
-        for name, process in self.running.items():
-            assert process.ended(RUN_SECS) == 0, f"{name}: {process.report()}"
-        self.statuses()
-        self._bus.close()
 
     def scores(self) -> list[dict[str, Any]]:
         """All score rows."""
@@ -112,3 +87,39 @@ class DistributedRun:
             if status.service == "actor":
                 sent, unacknowledged = status.totals["segments"], status.queue_depth
                 assert held.get(life, 0) >= sent - unacknowledged, f"segments of {life} were lost"
+
+
+class DistributedRun(WatchedRun):
+    """The processes of one run, and what they said of themselves."""
+
+    def __init__(self, owner: Owner, run_dir: Path, scenario: str = "cuboid", seed: int = 1) -> None:
+        self.router = owner.router()
+        self.running: dict[str, Process] = {}
+        self._owner = owner
+        text = (ROOT / "scenarios" / f"{scenario}.toml").read_text()
+        (run_dir / "config.toml").write_text(f"seed = {seed}\n{text}")
+        (run_dir / "run.json").write_text(json.dumps({"run": RUN}))
+        super().__init__(RUN, run_dir, self.router.endpoint)
+
+    def start(self, name: str) -> Process:
+        """Start a service; actors are named actor-0, actor-1..."""
+        service, _, index = name.partition("-")
+        arguments = ["--run-dir", str(self.run_dir), "--connect", self.router.endpoint]
+        process = self._owner.start_service(service, *arguments, "--index", index or "0")
+        self.running[name] = process
+        return process
+
+    def start_all(self, actors: int) -> None:
+        """The coordinator, both learners and the actors."""
+        for name in ("coordinator", *LEARNERS, *(f"actor-{index}" for index in range(actors))):
+            self.start(name)
+
+    def kill(self, name: str) -> None:
+        """kill -9."""
+        self.running.pop(name).kill()
+
+    def end(self) -> None:
+        """Wait until all have ended by themselves with code 0."""
+        for name, process in self.running.items():
+            assert process.ended(RUN_SECS) == 0, f"{name}: {process.report()}"
+        self.close()

@@ -36,6 +36,7 @@ leg_steps = 20
 RUN_SECS = 150.0
 STOP_SECS = 5.0
 START_SECS = 30.0
+FREE_PORTS = ("--dashboard-port", "0", "--dashboard-grpc-port", "0")
 
 Babble = Callable[..., Process]
 
@@ -100,30 +101,45 @@ def test_wrong_arguments_are_one_sentence_and_code_2(babble: Babble, tiny: Path,
     with socket.socket() as holder:
         holder.bind(("127.0.0.1", 0))
         holder.listen()
-        busy = f"tcp/127.0.0.1:{holder.getsockname()[1]}"
+        port = str(holder.getsockname()[1])
+        busy = f"tcp/127.0.0.1:{port}"
         started = {
             r"--actors: must be a whole number of at least 1, got '0'": babble("up", tiny, "--actors", "0"),
             r"cannot listen at tcp/127\.0\.0\.1:\d+ .*in use": babble("up", tiny, "--listen", busy),
             r"cannot write .*tiny\.toml/run": babble("up", tiny, "--run-dir", tiny / "run"),
             r"is not the folder of a run": babble("up", "--resume", tmp_path),
             r"give a scenario": babble("up"),
+            r"--dashboard-port \d+: cannot listen at .*in use.*choose another port": babble(
+                "up", tiny, "--dashboard-port", port, "--run-dir", tmp_path / "run"
+            ),
+            r"--dashboard-port: must be a whole number from 0 to 65535": babble(
+                "up", tiny, "--dashboard-port", "65536"
+            ),
+            r"--no-dashboard leaves no dashboard": babble(
+                "up", tiny, "--no-dashboard", "--dashboard-grpc-port", "0"
+            ),
             r"not a run's name|is not the folder of a run": babble("status", tmp_path),
             r"no router answered at": babble("status", "some-run", "--connect", "tcp/127.0.0.1:1"),
         }
         for sentence, process in started.items():
             refused(process, sentence)
+    assert not (tmp_path / "run").exists(), "a port is refused before there is a folder"
 
 
-def test_a_run_survives_a_killed_actor_tells_its_status_and_shows_its_scores(
+def test_a_run_survives_a_killed_actor_tells_its_status_and_dashboard_and_shows_its_scores(
     babble: Babble, tiny: Path, tmp_path: Path
 ) -> None:
     folder = tmp_path / "run"
-    run = babble("up", tiny, "--actors", "3", "--run-dir", folder)
+    run = babble("up", tiny, "--actors", "3", "--run-dir", folder, *FREE_PORTS)
+    url = run.expect("dashboard  http://127.0.0.1:", START_SECS).split()[1]
     run.expect("BABBLE", START_SECS)
     services(run)["actor"][0].kill()
     status = babble("status", folder)
     assert status.ended(START_SECS) == 0, status.report()
     assert status.out[0].startswith("run tiny-")
+    assert status.out[1] == f"dashboard {url}"
+    assert sum(bool(re.match(r"actor-[0-9a-f]{8} .* s ", line)) for line in status.out) >= 2, status.report()
+    assert any("sent again" in line for line in status.out)
     second = babble("up", "--resume", folder)
     refused(second, "is going on in another process")
     assert run.ended(RUN_SECS) == 0, run.report()
@@ -137,33 +153,36 @@ def test_a_run_survives_a_killed_actor_tells_its_status_and_shows_its_scores(
     assert any(line.startswith("best of body: ") for line in run.out)
     result = json.loads((folder / "result.json").read_text())
     assert set(result["cpu_secs"]) == {
-        *("router", "coordinator", "encoder_learner", "policy_learner", "launcher"),
+        *("router", "coordinator", "encoder_learner", "policy_learner", "dashboard", "launcher"),
         *("actor-0", "actor-1", "actor-2"),
     }
     assert (folder / "report.md").stat().st_size > 0
+    assert list((folder / "recording").glob("*.rrd")), "the dashboard recorded nothing"
     again = babble("up", "--resume", folder)
     assert again.ended(START_SECS) == 0
     assert "is completed already" in again.out[0]
     assert table(again.out) == table(run.out)
 
 
-def test_ctrl_c_ends_everything_within_5_s_and_resume_completes(
+def test_ctrl_c_ends_everything_within_5_s_leaves_a_report_and_resume_completes(
     babble: Babble, tiny: Path, tmp_path: Path
 ) -> None:
     folder = tmp_path / "run"
-    run = babble("up", tiny, "--run-dir", folder)
+    run = babble("up", tiny, "--run-dir", folder, *FREE_PORTS)
     run.expect("GROUND", RUN_SECS)
     started = [process for group in services(run).values() for process in group]
-    assert len(started) == 6
+    assert len(started) == 7
     asked_secs = time.monotonic()
     run.interrupt(signal.SIGINT)
-    assert run.ended(STOP_SECS) == 128 + signal.SIGINT
+    run.expect(f"stopped; go on with: babble up --resume {folder}", STOP_SECS)
     assert time.monotonic() - asked_secs < STOP_SECS
     assert all(gone(process) for process in started)
-    assert run.out[-1] == f"stopped; go on with: babble up --resume {folder}"
+    assert run.ended(START_SECS) == 128 + signal.SIGINT
+    assert "**This run is unfinished**" in (folder / "report.md").read_text()
     assert not (folder / "result.json").exists()
-    resumed = babble("up", "--resume", folder)
+    resumed = babble("up", "--resume", folder, "--no-dashboard")
     assert resumed.ended(RUN_SECS) == 0, resumed.report()
+    assert not (folder / "dashboard").exists(), "it tells an address where nobody is"
     assert not any(line.endswith(" BABBLE") for line in resumed.out), "it began anew"
     assert len(table(resumed.out)) == 4
 
@@ -171,13 +190,14 @@ def test_ctrl_c_ends_everything_within_5_s_and_resume_completes(
 def test_sigterm_is_code_143_and_a_killed_launcher_takes_its_processes_with_it(
     babble: Babble, tiny: Path, tmp_path: Path
 ) -> None:
-    ended = babble("up", tiny, "--run-dir", tmp_path / "ended")
+    ended = babble("up", tiny, "--run-dir", tmp_path / "ended", "--no-dashboard")
     ended.expect("BABBLE", START_SECS)
     ended.interrupt(signal.SIGTERM)
     assert ended.ended(STOP_SECS) == 128 + signal.SIGTERM
-    killed = babble("up", tiny, "--run-dir", tmp_path / "killed")
+    killed = babble("up", tiny, "--run-dir", tmp_path / "killed", *FREE_PORTS)
     killed.expect("BABBLE", START_SECS)
     started = [process for group in services(killed).values() for process in group]
+    assert len(started) == 7
     os.kill(killed.pid, signal.SIGKILL)
     wait_for("all processes to be gone", lambda: all(gone(process) for process in started), STOP_SECS)
 
@@ -186,15 +206,18 @@ def test_what_a_service_finds_wrong_is_told_and_ends_the_run(
     babble: Babble, tiny: Path, tmp_path: Path
 ) -> None:
     folder = tmp_path / "run"
-    first = babble("up", tiny, "--run-dir", folder)
+    first = babble("up", tiny, "--run-dir", folder, "--no-dashboard")
     first.expect("BABBLE", START_SECS)
     first.interrupt()
     first.ended(STOP_SECS)
     journal = folder / "journal.jsonl"
     journal.write_text("rubbish\n" + journal.read_text())
     refused(
-        babble("up", "--resume", folder), r"coordinator: line 1 of .*journal\.jsonl is damaged", START_SECS
+        babble("up", "--resume", folder, "--no-dashboard"),
+        r"coordinator: line 1 of .*journal\.jsonl is damaged",
+        START_SECS,
     )
+    assert "This run is unfinished" in (folder / "report.md").read_text()
 
 
 def refused(process: Process, sentence: str, within_secs: float = START_SECS) -> None:

@@ -149,7 +149,8 @@ def test_a_report_says_and_draws_where_the_joints_end(tmp_path: Path) -> None:
     assert "goal 0 is the posture right: 100% of its legs end there" in text
     assert "goal 0 ends at (1.00) (-1 and 1 are the joints' limits)" in text
     assert "the task's own reward per step is" in text
-    assert set(shown) == {f"figures/body-{name}.png" for name in ("postures", "way", "learning")}
+    drawn = {f"figures/body-{name}.png" for name in ("map", "postures", "way", "learning")}
+    assert set(shown) == {"figures/timeline.png"} | drawn
 
 
 def test_joints_are_called_by_their_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -70,7 +70,8 @@ def test_the_own_link_comes_first() -> None:
 def test_at_the_end_it_waits_for_the_others_to_leave() -> None:
     state = replace(STATE, phase=Phase.DONE)
     assert waiting(PLAN, state) == "waiting for 3 members to leave"
-    assert waiting(PLAN, replace(state, members={"c": Member(service="coordinator")})) == ""
+    onlooking = {"c": Member(service="coordinator"), "d": Member(service="dashboard")}
+    assert waiting(PLAN, replace(state, members=onlooking)) == ""
 
 
 def test_before_the_start_and_after_a_stop_it_says_so() -> None:

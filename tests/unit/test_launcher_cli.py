@@ -7,11 +7,11 @@ import pytest
 
 from babble.worlds import WORLDS
 from services.launcher.cli import main
-from services.launcher.doctor import packages, requirements
+from services.launcher.doctor import dashboard_finding, packages, requirements
 from services.launcher.status_command import status_lines
 from services.launcher.worlds_command import world_lines
 
-HEAVY = {"torch", "stable_baselines3", "onnx", "matplotlib", "mujoco"}
+HEAVY = {"torch", "stable_baselines3", "onnx", "matplotlib", "mujoco", "rerun"}
 
 
 def modules_after(code: str) -> set[str]:
@@ -34,7 +34,7 @@ def test_the_launcher_loads_nothing_heavy_and_its_help_next_to_nothing() -> None
 def test_without_a_command_it_helps(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 0
     said = capsys.readouterr().out
-    for command in ("up", "status", "score", "worlds", "doctor"):
+    for command in ("up", "status", "view", "report", "score", "worlds", "doctor"):
         assert f"    {command} " in said
 
 
@@ -73,6 +73,14 @@ def test_the_doctor_knows_the_packages_of_an_extra_through_other_extras() -> Non
     assert {"rich", "onnxruntime"} <= set(requirements("launcher"))
 
 
+def test_a_run_can_do_without_what_the_dashboard_needs() -> None:
+    found = dashboard_finding(lambda name: None if name == "rerun-sdk" else "1.0")
+    assert (found.good, found.needed) == (False, False)
+    assert "without rerun-sdk;" in found.text
+    assert "--extra dashboard" in found.text
+    assert dashboard_finding(lambda name: "1.0").good
+
+
 def test_status_tells_phase_members_and_scores() -> None:
     row = {"block": "body", "iteration": 0, "policy": "mean", "separation": 0.5, "z_min": 0.25, "z_goal": 1.0}
     told = {
@@ -98,3 +106,17 @@ def test_status_tells_phase_members_and_scores() -> None:
     )
     assert "and 1,200 more" in lines
     assert lines[-1] == "best of body: iteration 0 is nearest"
+
+
+def test_status_tells_what_was_heard_besides_and_where_the_dashboard_is() -> None:
+    told = {"run": "r", "phase": "babble", "evaluates": None, "iteration": 0, "iterations": 4, "term": 1}
+    told |= {"waiting": "", "members": [{"life": "actor-1"}], "unlisted": 0, "scores": [], "best": []}
+    events = [{"time": "2026-01-02T03:04:05.678+00:00", "text": "actor-1 (actor) joined"}]
+    lines = status_lines(told, dashboard="http://127.0.0.1:9090", facts=["", "actor-1  0.3 s"], events=events)
+    assert lines[:4] == [
+        "run r: BABBLE, term 1",
+        "dashboard http://127.0.0.1:9090",
+        "",
+        "actor-1  0.3 s",
+    ]
+    assert lines[-1].endswith(":04:05  actor-1 (actor) joined")

@@ -1,7 +1,11 @@
 """The launcher's picture of a run, from messages and times that the test makes up."""
 
+import pytest
+
 from protocol.messages import ALL_BLOCKS, Phase, PhaseAnnounced, Progress, Status
-from services.launcher.members import Picture, Speed, phase_words
+from services.launcher.learning import goal_distance
+from services.launcher.members import Picture, Speed, Tally, phase_words
+from services.runtime.settings import GoalSettings
 
 RUN = "cuboid-20260101-120000-0"
 
@@ -19,7 +23,7 @@ def status(life: str, term: int = 1, **more: object) -> Status:
 def picture() -> Picture:
     seen = Picture(RUN, f"runs/{RUN}", 0.0)
     for life in ("actor-1", "actor-2", "coordinator-1"):
-        seen.appeared(life.rsplit("-", 1)[0], life)
+        seen.appeared(life.rsplit("-", 1)[0], life, 0.0)
     seen.news.clear()
     return seen
 
@@ -41,7 +45,7 @@ def test_a_member_that_goes_is_lost_and_later_forgotten() -> None:
 
 def test_a_member_that_goes_after_the_run_is_done_has_left() -> None:
     seen = picture()
-    seen.hear_phase(announced(3, Phase.DONE))
+    seen.hear_phase(announced(3, Phase.DONE), 0.0)
     seen.news.clear()
     seen.vanished("actor-1", 5.0)
     seen.settle(5.5)
@@ -57,8 +61,8 @@ def test_when_the_own_link_goes_no_member_is_lost() -> None:
     seen.settle(60.0)
     assert len(alive(seen)) == 3
     seen.link(True, 61.0)
-    seen.appeared("actor", "actor-1")
-    seen.appeared("coordinator", "coordinator-1")
+    seen.appeared("actor", "actor-1", 61.0)
+    seen.appeared("coordinator", "coordinator-1", 61.0)
     seen.settle(61.5)
     assert len(alive(seen)) == 3
     seen.settle(64.1)
@@ -69,11 +73,11 @@ def test_when_the_own_link_goes_no_member_is_lost() -> None:
 def test_a_phase_is_news_once_and_an_older_one_never() -> None:
     seen = picture()
     for message in (announced(1, Phase.BABBLE), announced(1, Phase.BABBLE), announced(2, Phase.ENCODE)):
-        seen.hear_phase(message)
-    seen.hear_phase(announced(1, Phase.BABBLE))
+        seen.hear_phase(message, 0.0)
+    seen.hear_phase(announced(1, Phase.BABBLE), 0.0)
     assert list(seen.news) == ["BABBLE", "ENCODE"]
     assert not seen.done
-    seen.hear_phase(announced(3, Phase.DONE))
+    seen.hear_phase(announced(3, Phase.DONE), 0.0)
     assert seen.done
 
 
@@ -96,13 +100,13 @@ def test_speed_is_over_the_last_seconds_and_survives_a_new_count() -> None:
 
 def test_remaining_time_is_of_the_current_term_only() -> None:
     seen = picture()
-    seen.hear_phase(announced(1, Phase.GROUND))
+    seen.hear_phase(announced(1, Phase.GROUND), 0.0)
     for second, done in ((0.0, 0), (2.0, 200)):
         progress = [Progress(block="body", done=done, wanted=1000, unit="steps")]
         seen.hear_status(status("policy_learner-1", progress=progress), second)
     (work,) = seen.work(2.0)
     assert (work.progress.done, work.left_secs) == (200, 8.0)
-    seen.hear_phase(announced(2, Phase.WALK))
+    seen.hear_phase(announced(2, Phase.WALK), 0.0)
     assert seen.work(2.0) == []
     stale = [Progress(block="body", done=900, wanted=1000, unit="steps")]
     seen.hear_status(status("policy_learner-1", term=1, progress=stale), 3.0)
@@ -125,3 +129,73 @@ def test_errors_of_one_process_are_news_now_and_then_and_the_newest_stays() -> N
     assert list(seen.errors.values()) == ["actor-1: refused 7"]
     seen.hear_status(status("actor-1", last_error="refused 8"), 10.0)
     assert list(seen.news) == ["actor-1: refused 0", "actor-1: refused 8"]
+
+
+def test_what_happened_can_be_seen_again_with_its_time() -> None:
+    seen = picture()
+    seen.hear_phase(announced(1, Phase.BABBLE), 4.0)
+    seen.vanished("actor-1", 5.0)
+    seen.settle(5.5)
+    seen.news.clear()
+    assert list(seen.events)[-2:] == [(4.0, "BABBLE"), (5.5, "actor-1 is lost")]
+
+
+def test_losses_are_summed_over_all_lives_also_those_that_are_gone() -> None:
+    seen = picture()
+    refused = {"stale": 2, "malformed": 1}
+    seen.hear_status(status("actor-1", totals={"resent": 4}, lost=1, refused=refused), 1.0)
+    seen.hear_status(status("actor-1", totals={"resent": 5}, lost=2, refused=refused), 2.0)
+    seen.hear_status(status("actor-2", totals={"resent": 1}, duplicated=7), 2.0)
+    expected = Tally(lost=2, duplicated=7, refused=3, resent=6)
+    assert seen.tally() == expected
+    seen.vanished("actor-1", 5.0)
+    for now in (5.5, 16.0):
+        seen.settle(now)
+    assert "actor-1" not in [member.life for member in seen.members()]
+    assert seen.tally() == expected
+
+
+def test_what_learners_measure_is_told_by_block_and_models_by_their_newest_version() -> None:
+    seen = picture()
+    found = {"arm/encoder/loss": 1.5, "leg/encoder/loss": 2.5, "cpu_secs": 3.0}
+    seen.hear_status(status("encoder_learner-1", metrics=found, versions={"encoder/arm": 2}), 1.0)
+    found = {"arm/policy/loss": 0.5}
+    versions = {"policy/arm": 7, "encoder/arm": 1}
+    seen.hear_status(status("policy_learner-1", metrics=found, versions=versions), 1.0)
+    assert seen.measured() == {
+        "arm": {"encoder/loss": 1.5, "policy/loss": 0.5},
+        "leg": {"encoder/loss": 2.5},
+    }
+    assert seen.versions() == {"encoder/arm": 2, "policy/arm": 7}
+
+
+@pytest.mark.parametrize(
+    ("goals", "distance"),
+    [
+        ({}, 0.5),
+        ({"reward": "dense"}, 0.25),
+        ({"reward": "sparse"}, None),
+        ({"goal_weight": 0.25}, 1.0),
+        ({"goal_weight": 0.0, "external_weight": 1.0}, None),
+        ({"external_weight": 0.5}, 0.0),
+    ],
+)
+def test_the_distance_to_the_goal_is_read_off_the_reward_where_that_tells_it(
+    goals: dict[str, object], distance: float | None
+) -> None:
+    measured = {"policy/reward_mean": -0.25, "policy/external_reward_mean": -0.5}
+    found = goal_distance(measured, GoalSettings.model_validate(goals))
+    assert found == (None if distance is None else pytest.approx(distance))
+    assert goal_distance({}, GoalSettings()) is None
+    assert goal_distance(measured, None) is None
+
+
+def test_what_the_launcher_deals_with_is_shown_for_a_while_and_remains_an_event() -> None:
+    seen = picture()
+    seen.note_mishap("actor-1 was killed", 5.0)
+    seen.settle(34.0)
+    assert list(seen.errors.values()) == ["actor-1 was killed"]
+    seen.settle(36.0)
+    assert not seen.errors
+    assert list(seen.news) == ["actor-1 was killed"]
+    assert (5.0, "actor-1 was killed") in seen.events

@@ -23,11 +23,12 @@ class FakeChild:
 class Stage:
     """A supervisor of a router, a coordinator and actors, and what it has started."""
 
-    def __init__(self, folder: Path, actors: int = 1) -> None:
+    def __init__(self, folder: Path, actors: int = 1, *, dashboard: bool = False) -> None:
         self.children: dict[str, list[FakeChild]] = {}
         self.folder = folder
         parts = [self._part("router", outlasts=True), self._part("coordinator", leads=True)]
         parts += [self._part(f"actor-{i}", expendable=True) for i in range(actors)]
+        parts += [self._part("dashboard", optional=True)] if dashboard else []
         self.supervisor = Supervisor(parts, self._start)
         self.supervisor.poll(0.0, done=False)
 
@@ -166,3 +167,46 @@ def test_cpu_seconds_are_those_of_all_lives(stage: Stage) -> None:
     stage.supervisor.poll(2.0, done=False)
     stage.end("actor-0", 0, 3.0, done=True)
     assert stage.supervisor.cpu_secs() == {"router": 0.0, "coordinator": 0.0, "actor-0": 3.0}
+
+
+def test_a_dashboard_that_died_is_started_again(tmp_path: Path) -> None:
+    stage = Stage(tmp_path, dashboard=True)
+    assert stage.end("dashboard", -9, 1.0) == [
+        "dashboard was killed by SIGKILL; it is started again in 0.25 s"
+    ]
+    stage.supervisor.poll(1.25, done=False)
+    assert stage.lives("dashboard") == 2
+
+
+def test_what_a_person_must_mend_of_a_dashboard_is_told_and_the_run_goes_on(tmp_path: Path) -> None:
+    stage = Stage(tmp_path, dashboard=True)
+    (tmp_path / "dashboard.log").write_text("dashboard: port 9090 is taken\n")
+    assert stage.end("dashboard", 2, 1.0) == ["dashboard: port 9090 is taken; the run goes on without it"]
+    stage.supervisor.poll(60.0, done=False)
+    assert stage.supervisor.fatal is None
+    assert stage.supervisor.given_up == {"dashboard"}
+    assert stage.lives("dashboard") == 1
+
+
+def test_a_dashboard_that_keeps_dying_is_given_up_and_the_run_goes_on(tmp_path: Path) -> None:
+    stage = Stage(tmp_path, dashboard=True)
+    news: list[str] = []
+    for death in range(5):
+        news = stage.end("dashboard", 1, 6.0 * death)
+        stage.supervisor.poll(6.0 * death + 5.0, done=False)
+    assert news[0].endswith("the run goes on without it")
+    assert stage.supervisor.fatal is None
+    assert stage.supervisor.given_up == {"dashboard"}
+
+
+def test_a_dashboard_that_hangs_does_not_hold_up_the_end_and_is_killed(tmp_path: Path) -> None:
+    stage = Stage(tmp_path, dashboard=True)
+    stage.end("actor-0", 0, 1.0, done=True)
+    stage.end("coordinator", 0, 1.0, done=True)
+    assert stage.supervisor.finished()
+    assert not stage.supervisor.alone()
+    stage.supervisor.dismiss()
+    assert stage.children["dashboard"][0].signals == [signal.SIGKILL]
+    assert stage.children["router"][0].signals == []
+    stage.end("dashboard", -9, 2.0, done=True)
+    assert stage.supervisor.alone()

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from matplotlib.image import imread, imsave
 
-from services.launcher import figures
+from services.launcher import figures, learning_figure, timeline_figure
 from services.launcher.report import write_report
+from services.launcher.run_folder import RunFolder
+from services.runtime.errors import UserError
 from tests.unit.analytic_run import encoder, face, flat, good, policy, write_run
 
 D3 = '[[block]]\nname = "body"\nlatent_dim = 3\n[encoder]\nlearning_rate = 0.002'
@@ -20,10 +22,13 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures take a second, and many tests are about the words."""
 
     def blank(path: Path, *_: object) -> None:
+        path.parent.mkdir(exist_ok=True)
         imsave(path, np.eye(8))
 
-    for name in ("draw_world", "draw_latent", "draw_learning"):
-        monkeypatch.setattr(figures, name, blank)
+    drawn = {figures: ("draw_world", "draw_latent"), learning_figure: ("draw_learning",)}
+    for module, names in {**drawn, timeline_figure: ("draw_timeline",)}.items():
+        for name in names:
+            monkeypatch.setattr(module, name, blank)
 
 
 def report_of(folder: Path) -> str:
@@ -58,8 +63,11 @@ def test_success_is_said_with_the_places(
     assert f"goal 0 ends at {ends[0]}" in text
     assert f"goal 1 ends at {ends[1]}" in text
     assert re.search(r"ends of goals 0 and 1 are \d\.\d\d apart: (99|100)% of the diameter", text)
-    assert text.count("](figures/") == 3
+    shown = {"body-world", "body-latent", "body-learning", "timeline"}
+    assert {path.stem for path in (tmp_path / "run/figures").iterdir()} == shown
+    assert text.count("](figures/") == 4
     assert "unfinished" not in text
+    assert "Not everything could be read" not in text
 
 
 def test_drawn_ways_lead_from_end_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -134,15 +142,16 @@ def test_a_run_that_has_just_begun_has_a_report_too(tmp_path: Path) -> None:
     assert "Nothing has been evaluated yet" in text
 
 
-def test_three_vertices_are_drawn_and_nine_are_not(tmp_path: Path) -> None:
-    three = {"body": (encoder((1.0, 0.6, 0.3), latent_dim=3), policy((1.0, 1.0, 1.0), latent_dim=3))}
-    text = report_of(write_run(tmp_path / "three", [three], settings=D3))
-    assert text.count("ends at") == 3
-    assert text.count("](figures/") == 3
-    nine = {"body": (encoder((1.0, 0.6, 0.3), latent_dim=9), policy((1.0, 1.0, 1.0), latent_dim=9))}
-    text = report_of(write_run(tmp_path / "nine", [nine], settings=D3.replace("= 3", "= 9")))
-    assert "no drawing of 9 vertices" in text
-    assert text.count("](figures/") == 1
+@pytest.mark.parametrize("vertices", [3, 9])
+def test_any_number_of_vertices_is_drawn(tmp_path: Path, vertices: int) -> None:
+    models = (
+        encoder((1.0, 0.6, 0.3), latent_dim=vertices),
+        policy((1.0, 1.0, 1.0), latent_dim=vertices),
+    )
+    settings = D3.replace("= 3", f"= {vertices}")
+    text = report_of(write_run(tmp_path / "run", [{"body": models}], settings=settings))
+    assert text.count("ends at") == vertices
+    assert text.count("](figures/") == 4
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -158,12 +167,104 @@ def test_models_that_cannot_be_used_leave_the_scores_standing(tmp_path: Path) ->
 def test_losses_are_drawn_where_they_were_recorded(tmp_path: Path) -> None:
     folder = write_run(tmp_path / "run", [good()])
     narrow = report_of(folder)
-    assert "there is no metrics.jsonl" in narrow
+    assert "no losses: there are none in metrics.jsonl" in narrow
     width = imread(folder / "figures/body-learning.png").shape[1]
-    lines = [
-        {"now_secs": 5.0 + i, "term": 2, "phase": "encode", "metrics": {"body/encoder/loss": 4.0 - i}}
-        for i in range(3)
-    ]
-    (folder / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines) + '{"now_')
-    assert "and the encoder's loss and the policy's reward" in report_of(folder)
+    (folder / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in LOSSES) + '{"now_')
+    assert "what the learners measured, over the time" in report_of(folder)
     assert imread(folder / "figures/body-learning.png").shape[1] > width
+
+
+LOSSES = [
+    {
+        "now_secs": 101.0 + second,
+        "term": 2,
+        "phase": "encode",
+        "service": "encoder_learner",
+        "metrics": {"body/encoder/loss": 4.0 - second, "body/encoder/alignment": 0.1 * second},
+    }
+    for second in range(3)
+]
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_without_rollouts_there_are_the_scores_but_not_the_places(tmp_path: Path) -> None:
+    folder = write_run(tmp_path / "run", [good()])
+    (folder / "models/body/policy-10.onnx").unlink()
+    text = write_report(folder, rollouts=False).read_text()
+    assert "The saved models were not rolled out here; `babble report" in text
+    assert "**Both ends of the long diagonal were found.**" in text
+    assert "| 0 (best) | ground | mean | 0.950 |" in text
+    assert "ends at" not in text
+    assert "body-world" not in text
+
+
+def test_what_was_learned_before_the_first_evaluation_is_drawn(tmp_path: Path) -> None:
+    folder = write_run(tmp_path / "run", [], phase="encode (level 0, iteration 0, term 2)")
+    (folder / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in LOSSES))
+    text = report_of(folder)
+    assert "Nothing has been evaluated yet" in text
+    assert "![What the learners measured of block body.](figures/body-learning.png)" in text
+    assert "figures/timeline.png" in text
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_run_that_goes_on_is_not_called_unfinished(tmp_path: Path) -> None:
+    phase = "walk (level 0, iteration 2, term 12)"
+    folder = write_run(tmp_path / "run", [good()], phase=phase)
+    with RunFolder.find(str(folder)).locked():
+        text = report_of(folder)
+    assert f"**This run is still going on**: its phase is {phase}." in text
+    assert "unfinished" not in text
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_damaged_files_are_named_and_the_rest_is_told(tmp_path: Path) -> None:
+    folder = write_run(tmp_path / "run", [good(), flat()])
+    lines = (folder / "scores.jsonl").read_text().splitlines(keepends=True)
+    (folder / "scores.jsonl").write_text(lines[0] + "rubbish\n" + '{"run": "x"}\n' + "".join(lines[2:]) + "{")
+    (folder / "best.json").write_text('{"body":')
+    (folder / "result.json").write_text("[1]")
+    (folder / "metrics.jsonl").write_bytes(b"\xff\xfe\n[]\n" + json.dumps({"now_secs": "x"}).encode() + b"\n")
+    with (folder / "events.jsonl").open("a") as events:
+        events.write('{"secs": 1e999, "what": "phase", "text": "done"}\n{"secs":')
+    text = report_of(folder)
+    assert "1 line of `scores.jsonl` could not be read and were left out." in text
+    assert "1 of the records in `scores.jsonl` are no scores of this run" in text
+    assert "2 lines of `metrics.jsonl` could not be read" in text
+    assert "best.json is damaged" in text
+    assert "`result.json` holds no table and is left out." in text
+    assert text.count("| 1 | practise |") == 2
+    assert text.count("| 0 | ground |") == 1
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_best_iteration_without_scores_is_said(tmp_path: Path) -> None:
+    text = report_of(write_run(tmp_path / "run", [good()], best=7))
+    assert "What is kept is not known here: " in text
+    assert "has no iteration 7 of block body; it has 0." in text
+    assert "**Both ends of the long diagonal were found.** The newest iteration is 0" in text
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_resumes_and_waits_are_said(tmp_path: Path) -> None:
+    folder = write_run(tmp_path / "run", [good()])
+    babble = "babble (level 0, iteration 0, term 1)"
+    told = [(100.0, "phase", babble), (102.0, "end", "stopped"), (902.0, "phase", babble)]
+    told += [(903.5, "stalled", "nobody"), (905.0, "phase", "encode (level 0, iteration 0, term 2)")]
+    lines = [json.dumps({"secs": secs, "what": what, "text": text}) for secs, what, text in told]
+    (folder / "events.jsonl").write_text("\n".join(lines) + "\n")
+    text = report_of(folder)
+    assert "| babble | 2 | 5.0 | 20,000 |" in text
+    assert "It was resumed once; the 800 s in between are left out. It stalled once;" in text
+    assert "waiting included: 5.0 s for processes that were not there." in text
+
+
+@pytest.mark.parametrize("damage", ["no folder", "settings"])
+def test_what_is_no_run_is_one_sentence(tmp_path: Path, damage: str) -> None:
+    folder = tmp_path / "run"
+    if damage == "settings":
+        write_run(folder, [good()])
+        (folder / "config.toml").write_text("world = [")
+    with pytest.raises(UserError) as refused:
+        write_report(folder)
+    assert str(refused.value).count("\n") == 0

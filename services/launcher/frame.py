@@ -1,0 +1,214 @@
+"""The view of a run for a terminal of any size; a small one shows the most important (pure)."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from services.launcher.learning import encoder_words, model_words, policy_words
+from services.launcher.lines import (
+    Line,
+    Signs,
+    amount_words,
+    clipped,
+    clock_words,
+    packed,
+    score_table,
+    wrapped,
+)
+from services.launcher.members import BlockWork, Picture, phase_words
+from services.launcher.roster import roster
+
+MOST_ROWS = 8
+"""Of the table of scores."""
+MOST_ERRORS = 3
+MOST_EVENTS = 8
+LONGEST_BAR = 30
+LAST_IMPORTANT = 5
+"""The rank of the last section that is shown whole before any gap."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """Lines that belong together."""
+
+    rank: int
+    """the smaller, the more important"""
+    wanted: int
+    """lines it has"""
+    least: int
+    """lines it gets before any section gets more than that"""
+    fit: Callable[[int], Sequence[Line]]
+    """so many of its lines, the most important ones"""
+
+
+def frame(
+    picture: Picture, now_secs: float, width: int, height: int | None = None, signs: Signs | None = None
+) -> list[Line]:
+    """The live view; no line is wider than `width`, and there are no more than `height`."""
+    signs = signs or Signs()
+    sections = [
+        section
+        for section in (
+            _headline(picture, now_secs, width, signs),
+            _phase(picture, now_secs, width, signs),
+            _errors(picture, width),
+            _learning(picture, width, signs),
+            _members(picture, now_secs, width),
+            _wire(picture, width, signs),
+            _scores(picture),
+            _events(picture, width),
+            _folder(picture, width),
+        )
+        if section.wanted
+    ]
+    rows: list[Line] = []
+    for section, (count, gap) in zip(sections, _shared(sections, height), strict=True):
+        rows += [()] if gap else []
+        rows += section.fit(count) if count else []
+    return [clipped(row, width) for row in rows]
+
+
+def facts(picture: Picture, now_secs: float, width: int, signs: Signs | None = None) -> list[Line]:
+    """What goes wrong, what is learned, who is there and how the wire does, without a limit of height."""
+    signs = signs or Signs()
+    rows: list[Line] = []
+    for section in (
+        _errors(picture, width),
+        _learning(picture, width, signs),
+        _members(picture, now_secs, width),
+        _wire(picture, width, signs),
+    ):
+        if section.wanted:
+            rows += [(), *section.fit(section.wanted)]
+    return [clipped(row, width) for row in rows]
+
+
+def _shared(sections: Sequence[Section], height: int | None) -> list[tuple[int, bool]]:
+    """How many lines each section gets, and whether an empty one comes before it.
+
+    First what each needs at least, the most important first; then whatever else the important ones have,
+    then the gaps, then the rest.
+    """
+    room = height if height is not None else sum(section.wanted + 1 for section in sections)
+    order = sorted(range(len(sections)), key=lambda i: sections[i].rank)
+    counts, gaps = [0] * len(sections), [False] * len(sections)
+    for i in order:
+        counts[i] = min(sections[i].least, sections[i].wanted, room)
+        room -= counts[i]
+    for important in (True, False):
+        for i in order:
+            if (sections[i].rank <= LAST_IMPORTANT) == important:
+                more = min(sections[i].wanted - counts[i], room)
+                counts[i] += more
+                room -= more
+        for i in range(1, len(sections) if important else 0):
+            gaps[i] = room > 0 and counts[i] > 0
+            room -= gaps[i]
+    return list(zip(counts, gaps, strict=True))
+
+
+def _section(rank: int, rows: Sequence[Line], least: int) -> Section:
+    """A section whose first lines are the most important."""
+    return Section(rank=rank, wanted=len(rows), least=least, fit=lambda count: rows[:count])
+
+
+def _headline(picture: Picture, now_secs: float, width: int, signs: Signs) -> Section:
+    time = clock_words(now_secs - picture.began_secs)
+    title = f"Babble {signs.dash} {picture.run}"
+    apart = bool(picture.dashboard) and len(title) + len(picture.dashboard) + len(time) + 4 > width
+    if picture.dashboard and not apart:
+        time = f"{picture.dashboard}  {time}"
+    title = title[: max(0, width - len(time) - 1)]
+    gap = " " * max(1, width - len(title) - len(time))
+    rows: list[Line] = [((title, "bold"), (gap, ""), (time, ""))]
+    rows += [((picture.dashboard, ""),)] if apart else []
+    return _section(0, rows, len(rows))
+
+
+def _phase(picture: Picture, now_secs: float, width: int, signs: Signs) -> Section:
+    if picture.announced is None:
+        return _section(1, [(("starting the processes", "bold cyan"),)], 1)
+    rows: list[Line] = [((phase_words(picture.announced), "bold cyan"),)]
+    works = picture.work(now_secs)
+    longest = max((len(work.progress.block) for work in works), default=0)
+    for work in works:
+        rows += _bar(work, longest, width, signs)
+    if not picture.linked:
+        rows.append((("the link to the router is lost; it comes back by itself", "yellow"),))
+    for sentence in picture.waiting()[:3]:
+        rows += [((text, "yellow"),) for text in wrapped(sentence, width, most=2)]
+    return _section(1, rows, 4)
+
+
+def _bar(work: BlockWork, longest: int, width: int, signs: Signs) -> list[Line]:
+    progress = work.progress
+    share = 1.0 if progress.wanted == 0 else min(1.0, progress.done / progress.wanted)
+    words = amount_words(work)
+    size = min(LONGEST_BAR, width - longest - len(words) - 4)
+    name = f"{progress.block:<{longest}}  "
+    if size < 6:
+        return [((name, ""), (words, ""))]
+    full = round(size * share)
+    return [
+        ((name, ""), (signs.full * full, "green"), (signs.empty * (size - full), "dim"), (f"  {words}", ""))
+    ]
+
+
+def _errors(picture: Picture, width: int) -> Section:
+    rows: list[Line] = []
+    for error in list(picture.errors.values())[-MOST_ERRORS:]:
+        rows += [((text, "red"),) for text in wrapped(f"! {error}", width, most=3)]
+    return _section(2, rows, 2)
+
+
+def _learning(picture: Picture, width: int, signs: Signs) -> Section:
+    rows: list[Line] = []
+    for block, measured in picture.measured().items():
+        rows.append(((f"{block}: ", "bold"), (model_words(picture, block), "")))
+        for words in (encoder_words(measured), policy_words(measured, picture.goals)):
+            rows += [((f"  {text}", ""),) for text in packed(words, width - 2, signs)]
+    return _section(4, rows, 3)
+
+
+def _members(picture: Picture, now_secs: float, width: int) -> Section:
+    members = picture.members()
+    if not members:
+        return _section(3, [(("nobody is there yet", "yellow"),)], 1)
+    whole = roster(picture, now_secs, width)
+    return Section(
+        rank=3, wanted=len(whole), least=8, fit=lambda count: roster(picture, now_secs, width, most=count)
+    )
+
+
+def _wire(picture: Picture, width: int, signs: Signs) -> Section:
+    tally = picture.tally()
+    counts = ((tally.lost, "lost"), (tally.duplicated, "duplicated"), (tally.refused, "refused"))
+    words = [f"{count:,} {what}" for count, what in (*counts, (tally.resent, "sent again"))]
+    style = "yellow" if tally.lost or tally.refused else ""
+    return _section(5, [((text, style),) for text in packed(words, width, signs)], 1)
+
+
+def _scores(picture: Picture) -> Section:
+    rows = min(len(picture.scores), MOST_ROWS)
+
+    def fit(count: int) -> list[Line]:
+        blocks = len({str(row["block"]) for row in picture.scores[-rows:]})
+        heads = 1 + (blocks if blocks > 1 else 0)
+        newest = max(1, count - heads)
+        return [((text, ""),) for text in score_table(picture.scores, newest=newest)[:count]]
+
+    wanted = len(score_table(picture.scores, newest=rows)) if rows else 0
+    return Section(rank=6, wanted=wanted, least=3, fit=fit)
+
+
+def _events(picture: Picture, width: int) -> Section:
+    newest = list(picture.events)[-MOST_EVENTS:]
+    rows: list[Line] = [
+        ((f"{clock_words(secs - picture.began_secs):>8}  ", "dim"), (" ".join(text.split()), ""))
+        for secs, text in newest
+    ]
+    return Section(rank=7, wanted=len(rows), least=1, fit=lambda count: rows[len(rows) - count :])
+
+
+def _folder(picture: Picture, width: int) -> Section:
+    pieces = [picture.folder[i : i + width] for i in range(0, len(picture.folder), width)]
+    return _section(8, [((piece, "dim"),) for piece in pieces], 0)
