@@ -15,8 +15,8 @@ from babble.observations import Layout
 from babble.worlds.batch import Floats, PointWorld, World
 
 if TYPE_CHECKING:
-    from babble.worlds.drawing.coarse import CoarseTouch
     from babble.worlds.physics.world import MujocoWorld
+    from babble.worlds.senses.touch import Touch
 
 Pixels = NDArray[np.uint8]
 SIDES = ("left", "right")
@@ -37,7 +37,7 @@ class Pose:
 class Shown:
     """What can be seen of one world's first copy."""
 
-    def __init__(self, world: World, simulated: "MujocoWorld | None", touch: "CoarseTouch | None") -> None:
+    def __init__(self, world: World, simulated: "MujocoWorld | None", touch: "Touch | None") -> None:
         self._simulated = simulated
         self._touch = touch
         layout = Layout(world.senses)
@@ -47,7 +47,7 @@ class Shown:
         """the names of the eyes, in the order of their images"""
 
     @property
-    def touch(self) -> "CoarseTouch | None":
+    def touch(self) -> "Touch | None":
         """The skin that `pose` tells of; None without one."""
         return self._touch
 
@@ -60,7 +60,7 @@ class Shown:
             position, quaternion = data.xpos.astype(np.float32), data.xquat.astype(np.float32)
         if not (np.isfinite(position).all() and np.isfinite(quaternion).all()):
             return None
-        return Pose(position, quaternion, None if self._touch is None else self._touch.read(data))
+        return Pose(position, quaternion, None if self._touch is None else self._touch.read([data])[0])
 
     def images(self, observation: Floats) -> dict[str, Pixels]:
         """By the name of the eye: what it shows (H, W, 3) in the first row of observations (E, n)."""

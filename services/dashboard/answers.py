@@ -21,29 +21,40 @@ ASK_AGAIN = "no-cache"
 NEVER_KEEP = "no-store"
 METHODS = ("GET", "HEAD")
 WASM = "re_viewer_bg.wasm"
+ICON = "favicon.ico"
 
 
 @dataclass(frozen=True)
 class Stored:
-    """Contents that lie in a file: its first `size_bytes`, or all of it unpacked to so many."""
+    """The first `size_bytes` of a file."""
 
     path: Path
     size_bytes: int
-    unpack: bool = False
+
+
+@dataclass(frozen=True)
+class Packed:
+    """Gzipped contents, for a browser that wants them unpacked: `size_bytes` of them."""
+
+    gzipped: bytes
+    size_bytes: int
+
+
+Body = bytes | Stored | Packed
 
 
 @dataclass(frozen=True)
 class Answer:
     """One HTTP answer; the length, and the headers that all have, are the server's matter."""
 
-    body: bytes | Stored = b""
+    body: Body = b""
     status: HTTPStatus = HTTPStatus.OK
     headers: dict[str, str] = field(default_factory=dict)
 
     @property
     def size_bytes(self) -> int:
         """Bytes of the body."""
-        return self.body.size_bytes if isinstance(self.body, Stored) else len(self.body)
+        return len(self.body) if isinstance(self.body, bytes) else self.body.size_bytes
 
 
 class Answers:
@@ -86,9 +97,11 @@ class Answers:
         if path in self._recordings:
             return _recording(self._recordings[path])
         if self.viewer is not None:
-            for name in NAMES:
-                if path in (self._viewer_folder() + name, f"/{name}"):
-                    return _viewer_file(self.viewer, self.viewer.files[name], headers)
+            if path == f"/{ICON}":
+                return _viewer_file(ICON, self.viewer.files[ICON], headers, ASK_AGAIN)
+            folder, _, name = path.rpartition("/")
+            if f"{folder}/" == self._viewer_folder() and name in NAMES:
+                return _viewer_file(name, self.viewer.files[name], headers, FOR_EVER)
         return _text(HTTPStatus.NOT_FOUND, "nothing is served under this address")
 
     def _told(self, host: str) -> dict[str, str | int | list[str]]:
@@ -126,15 +139,14 @@ def _recording(path: Path) -> Answer:
     return Answer(Stored(path, whole.whole_bytes), headers=_headers(path.name, NEVER_KEEP))
 
 
-def _viewer_file(files: ViewerFiles, file: ViewerFile, headers: Message) -> Answer:
+def _viewer_file(name: str, file: ViewerFile, headers: Message, keep: str) -> Answer:
     """A file of the viewer, gzipped if the browser takes that."""
     packed = _takes_gzip(headers.get("Accept-Encoding", ""))
-    size_bytes = file.gzipped_bytes if packed else file.raw_bytes
     tag = f"{file.sha256[:16]}-gzip" if packed else file.sha256[:16]
-    about = {**_headers(file.name, FOR_EVER, tag), "Vary": "Accept-Encoding"}
+    about = {**_headers(name, keep, tag), "Vary": "Accept-Encoding"}
     if packed:
-        about["Content-Encoding"] = "gzip"
-    return Answer(Stored(files.path(file.name), size_bytes, unpack=not packed), headers=about)
+        return Answer(file.gzipped, headers={**about, "Content-Encoding": "gzip"})
+    return Answer(Packed(file.gzipped, file.raw_bytes), headers=about)
 
 
 def _text(status: HTTPStatus, sentence: str) -> Answer:

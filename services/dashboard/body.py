@@ -18,7 +18,7 @@ from babble.worlds.showing import shown
 from protocol.messages import View
 from services.dashboard.body_look import spatial_view
 from services.dashboard.body_points import SILENT_SECS, PointScene
-from services.dashboard.canvas import Canvas, Due
+from services.dashboard.canvas import Canvas, Due, plain
 from services.runtime.settings import RunSettings, WorldSettings
 
 if TYPE_CHECKING:
@@ -142,4 +142,4 @@ class BodyPanel:
     def _say(self, canvas: Canvas) -> None:
         self._said = self.reason
         if self.reason:
-            canvas.log(REASON, rr.TextDocument(self.reason))
+            canvas.log(REASON, rr.TextDocument(plain(self.reason)))

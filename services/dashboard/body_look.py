@@ -22,7 +22,7 @@ BACKGROUND = (13, 15, 20)
 GRID_COLOUR = (96, 104, 118, 90)
 GRID_CELLS = 12.0
 """About so many cells of the floor's grid lie between the eye and what is looked at."""
-SHAPE_AZIMUTH_DEG, SHAPE_ELEVATION_DEG, SHAPE_SIZES = 115.0, -24.0, 2.7
+SHAPE_AZIMUTH_DEG, SHAPE_ELEVATION_DEG, SHAPE_SIZES = 115.0, -24.0, 3.7
 NEARER = 0.83
 """Rerun's eye has a wider angle than MuJoCo's cameras, for which the views are."""
 WHOLE_MODEL_EXTENTS = 1.6

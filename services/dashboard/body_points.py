@@ -11,6 +11,7 @@ from protocol.messages import View
 from services.dashboard.body_look import look_at_shape
 from services.dashboard.canvas import Canvas, Due
 from services.dashboard.colours import DIM, GREY, WHITE, of_index
+from services.dashboard.latent_book import label_order
 from services.dashboard.pens import Pen, grouped
 
 Floats = NDArray[np.float32]
@@ -65,6 +66,8 @@ class PointScene:
         path = arrays.get("path", posture[:0])
         if any(each.shape[1] != 3 or not np.isfinite(each).all() for each in (posture, path)):
             return False
+        if not len(posture):
+            return False
         if view.life not in self._actors and len(self._actors) >= MOST_ACTORS:
             return False
         shades = _shades(latent, len(posture))
@@ -97,7 +100,7 @@ class PointScene:
 
     def _draw_now(self, canvas: Canvas, *, thin: bool) -> None:
         """All columns of all actors; the first of each larger, with its way and its name."""
-        names = sorted(self._actors)
+        names = sorted(self._actors, key=label_order)
         actors = [self._actors[name] for name in names]
         firsts = _stacked([each.posture[:1] for each in actors])
         others = _stacked([each.posture[1:] for each in actors])
@@ -151,10 +154,12 @@ class _Reached:
 
 
 def _shades(latent: Floats | None, number: int) -> Colours:
-    """(E,) the colours of the nearest vertices; grey where there are no latents yet."""
-    if latent is None or len(latent) != number:
-        return np.full(number, GREY, np.uint32)
-    return np.array([of_index(int(vertex)) for vertex in latent.argmax(axis=1)], np.uint32)
+    """(E,) the colours of the nearest vertices; grey where there are no latents, or none that are numbers."""
+    shades = np.full(number, GREY, np.uint32)
+    if latent is not None:
+        known = np.isfinite(latent).all(axis=1)
+        shades[known] = [of_index(int(vertex)) for vertex in latent[known].argmax(axis=1)]
+    return shades
 
 
 def _stacked(parts: list[Floats]) -> Floats:

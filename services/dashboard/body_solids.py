@@ -7,11 +7,12 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from babble.worlds.drawing.coarse import CoarseTouch, outwards
+from babble.worlds.drawing.coarse import outwards
 from babble.worlds.drawing.poses import turned
 from babble.worlds.drawing.solids import Kind, Solids, drawing
 from babble.worlds.physics.world import MujocoWorld
 from babble.worlds.senses.rendering import View as Place
+from babble.worlds.senses.touch import Touch
 from babble.worlds.showing import shown
 from protocol.messages import View
 from services.dashboard.body_look import look_as
@@ -151,9 +152,9 @@ class SolidScene:
 class _Skin:
     """The points of a coarse skin as dots."""
 
-    def __init__(self, model: mujoco.MjModel, touch: CoarseTouch, radius_m: float) -> None:
+    def __init__(self, model: mujoco.MjModel, touch: Touch, radius_m: float) -> None:
         counts = [len(patch.points) for patch in touch.patches]
-        self.size = touch.size
+        self.size = sum(counts)
         self._body = np.repeat([patch.body for patch in touch.patches], counts)
         self._local = np.concatenate([patch.points for patch in touch.patches])
         spacing_m = np.repeat([patch.distance_m for patch in touch.patches], counts)

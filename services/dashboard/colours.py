@@ -17,7 +17,8 @@ WHITE = 0xE8E8E8FF
 GREY = 0x8A929AFF
 DIM = 0x4A525AFF
 
-CYCLE = (ORANGE, SKY, GREEN, PURPLE, YELLOW, VERMILLION, BLUE, WHITE)
+CYCLE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, YELLOW, WHITE)
+"""The order of the report's figures, so that a vertex has one colour everywhere."""
 
 PHASE_COLOURS = {
     Phase.BABBLE: GREY,

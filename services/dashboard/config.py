@@ -1,11 +1,16 @@
 """What a dashboard is told on its command line, and what it takes from the run's folder."""
 
 import argparse
+import contextlib
 import json
+import os
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+from pydantic import ValidationError
+
+from protocol.messages import Score
 from services.runtime.errors import UserError
 
 DEFAULT_BIND = "127.0.0.1"
@@ -14,6 +19,8 @@ DEFAULT_GRPC_PORT = 9876
 DEFAULT_SERVER_MEMORY_MB = 256
 LEAST_SERVER_MEMORY_MB = 16
 MAX_PORT = 65535
+PAST_SCORES_BYTES = 1 << 18
+"""Of the newest scores of a run so much is read."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,6 +86,23 @@ def options_of(arguments: argparse.Namespace) -> DashboardOptions:
             "or pages that are opened late would show nothing"
         )
     return options
+
+
+def past_scores(run_dir: Path) -> list[Score]:
+    """The newest scores that the coordinator has left in `scores.jsonl`, in its order."""
+    try:
+        with (run_dir / "scores.jsonl").open("rb") as file:
+            size = file.seek(0, os.SEEK_END)
+            file.seek(max(0, size - PAST_SCORES_BYTES))
+            lines = file.read(PAST_SCORES_BYTES).splitlines()
+    except OSError:
+        return []
+    found = []
+    for line in lines:
+        # The first line may be cut off here, the last by a crash.
+        with contextlib.suppress(ValidationError):
+            found.append(Score.model_validate_json(line))
+    return found
 
 
 def created_secs(run_dir: Path) -> float:

@@ -1,4 +1,4 @@
-"""HTTP over sockets with bounds: connections, bytes and seconds of a request, seconds of an answer.
+"""HTTP over sockets with bounds: connections, bytes and seconds of a request, seconds of a part of an answer.
 
 One request per connection, without a body; the standard library parses it.
 """
@@ -16,7 +16,7 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler
 from typing import Any
 
-from services.dashboard.answers import Answer, Answers, Stored
+from services.dashboard.answers import Answer, Answers, Body, Packed, Stored
 
 log = logging.getLogger(__name__)
 
@@ -51,7 +51,12 @@ class Server(socketserver.ThreadingMixIn, socketserver.TCPServer):
     def process_request(self, request: Any, client_address: Any) -> None:
         """Give the connection a thread, or turn it away."""
         if self._free.acquire(blocking=False):
-            super().process_request(request, client_address)
+            try:
+                super().process_request(request, client_address)
+            except RuntimeError:
+                # No thread could be started, so none will give the place back.
+                self._free.release()
+                raise
             return
         self.refused += 1
         try:
@@ -137,13 +142,20 @@ class _Connection(BaseHTTPRequestHandler):
             pass
 
 
-def _parts(body: bytes | Stored) -> Iterator[bytes]:
+def _parts(body: Body) -> Iterator[bytes]:
     """The body in pieces, never more of it than was announced."""
-    if isinstance(body, bytes):
-        yield body
-        return
-    left_bytes = body.size_bytes
-    with gzip.open(body.path) if body.unpack else body.path.open("rb") as file:
+    left_bytes = len(body) if isinstance(body, bytes) else body.size_bytes
+    with _opened(body) as file:
         while left_bytes > 0 and (part := file.read(min(PART_BYTES, left_bytes))):
             left_bytes -= len(part)
             yield part
+
+
+def _opened(body: Body) -> io.BufferedIOBase:
+    match body:
+        case Stored(path=path):
+            return path.open("rb")
+        case Packed(gzipped=gzipped):
+            return gzip.open(io.BytesIO(gzipped))
+        case _:
+            return io.BytesIO(body)

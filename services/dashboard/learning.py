@@ -1,6 +1,6 @@
 """What the learners measure, and the scores of each evaluation."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 from protocol.messages import Score, Status
 from services.dashboard.canvas import Canvas, Due, Lines, page
@@ -15,6 +15,7 @@ from services.dashboard.colours import (
     WHITE,
     YELLOW,
     Colour,
+    of_index,
 )
 
 MEASURES: Mapping[str, Mapping[str, tuple[str, Colour]]] = {
@@ -72,13 +73,18 @@ class LearningPanel:
         """The scores heard so far, in that order."""
         return list(self._scores.values())
 
+    def recall(self, scores: Iterable[Score]) -> None:
+        """Take scores from before this dashboard began, for the table alone: they have no time."""
+        for score in scores:
+            if score.block in self._blocks:
+                self._scores.setdefault(_key(score), score)
+
     def hear_status(self, status: Status) -> None:
         """Take a learner's measures and scores."""
         for score in status.scores:
-            key = (score.block, score.iteration, str(score.phase), score.policy)
-            if score.block in self._blocks and key not in self._scores:
+            if score.block in self._blocks and _key(score) not in self._scores:
                 self._found.append(score)
-                self._scores[key] = score
+                self._scores[_key(score)] = score
         if not status.service.endswith("_learner") or self._totals.get(status.service) == status.totals:
             return
         self._totals[status.service] = status.totals
@@ -98,9 +104,7 @@ class LearningPanel:
         if self._measured:
             thin = self._due(now_secs)
             for name, value in self._measured.items():
-                learner, measure = name.split("/")[1:]
-                title, colour = MEASURES[learner][measure]
-                self._lines.name(canvas, f"/learning/{name}", title, colour)
+                self._lines.name(canvas, f"/learning/{name}", *self._style(name))
                 self._lines.add(canvas, f"/learning/{name}", value, thin=thin)
             self._measured.clear()
         if self._found:
@@ -108,6 +112,14 @@ class LearningPanel:
                 self._draw_score(canvas, score)
             self._found.clear()
             canvas.log("/status/scores", page(scores_table(self.scores)))
+
+    def _style(self, name: str) -> tuple[str, Colour]:
+        """Name and colour of a measure's line; the lag of all blocks is in one plot."""
+        block, learner, measure = name.split("/")
+        title, colour = MEASURES[learner][measure]
+        if measure.startswith("lag_") and len(self._blocks) > 1:
+            return f"{block}: {title}", of_index(2 * self._blocks.index(block) + (measure == "lag_max"))
+        return title, colour
 
     def _draw_score(self, canvas: Canvas, score: Score) -> None:
         """A dot per evaluation; the mean actions' only, or there would be two at a time."""
@@ -120,6 +132,10 @@ class LearningPanel:
                 if path not in self._lines:
                     self._lines.name(canvas, path, title, colour, 2.0, dots=True)
                 self._lines.add(canvas, path, value)
+
+
+def _key(score: Score) -> Key:
+    return score.block, score.iteration, str(score.phase), score.policy
 
 
 def scores_table(scores: Collection[Score]) -> str:

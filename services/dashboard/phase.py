@@ -10,8 +10,8 @@ from protocol.messages import Phase, PhaseAnnounced, Progress
 from services.dashboard.canvas import Canvas, Due, colours, page
 from services.dashboard.colours import PHASE_COLOURS
 from services.dashboard.latent_book import LatentBook, label_order
-from services.dashboard.roster import Roster, Speed
-from services.dashboard.system import troubles
+from services.dashboard.roster import Roster
+from services.runtime.speed import Speed
 
 SUMMARY_SECS = 1.0
 THIN_SECS = 10.0
@@ -98,12 +98,13 @@ class PhasePanel:
         speeds = [speed for actor in actors if (speed := actor.env_steps.per_sec(now_secs)) is not None]
         found = [newest.distances for book in self._books.values() for newest in book.acting(now_secs)]
         distances = np.concatenate(found) if found else np.zeros(0)
+        counted = self._roster.ledger
         facts = {
             "actors": f"{len(actors)}",
-            "env steps": f"{self._roster.env_steps:,}",
+            "env steps": f"{counted['env_steps']:,}",
             "steps/s": f"{sum(speeds):,.0f}" if speeds else "-",
             "goal distance": f"{distances.mean():.3f}" if len(distances) else "-",
-            "lost": f"{troubles(self._roster)['lost']:,}",
+            "lost": f"{counted['lost']:,}",
         }
         return [
             "| " + " | ".join(facts) + " |",

@@ -2,17 +2,20 @@
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
+from protocol.keys import SERVICES
 from protocol.messages import Status
+from services.dashboard.ledger import Ledger
+from services.runtime.speed import RATE_SECS, Speed
 
-MOST_MEMBERS = 64
-"""So many are shown; statuses of others are counted and not kept."""
+MOST_ACTORS, MOST_OTHERS = 64, 16
+"""So many are shown. What others count is counted, and nothing else of them is kept."""
 MOST_NEWS = 256
-RATE_SECS = 5.0
-"""Speeds are over so many of the last seconds, as far as they are known."""
 SILENT_SECS = 5.0
 """A member that is there but has said nothing for so long is silent."""
+SILENT_STATUSES = 3
+"""It may miss so many of its words before, where these are seldom."""
 DOUBT_SECS = 0.5
 """The tokens of all members go a moment before the own link is known to be lost."""
 RETURN_SECS = 3.0
@@ -21,26 +24,6 @@ FORGET_SECS = 60.0
 """A lost member is shown for so long, or until another takes its short name."""
 ERROR_SECS = 10.0
 """What goes wrong in one process is told so often at most."""
-
-
-class Speed:
-    """How fast a total grows."""
-
-    def __init__(self) -> None:
-        self._heard: deque[tuple[float, float]] = deque(maxlen=64)
-
-    def hear(self, now_secs: float, total: float) -> None:
-        """A total; one that is smaller than before is a new count."""
-        if self._heard and total < self._heard[-1][1]:
-            self._heard.clear()
-        self._heard.append((now_secs, total))
-
-    def per_sec(self, now_secs: float) -> float | None:
-        """The mean of the last `RATE_SECS`; None while there is too little to tell."""
-        recent = [(secs, total) for secs, total in self._heard if secs >= now_secs - RATE_SECS]
-        if len(recent) < 2 or recent[-1][0] <= recent[0][0]:
-            return None
-        return (recent[-1][1] - recent[0][1]) / (recent[-1][0] - recent[0][0])
 
 
 @dataclass
@@ -52,6 +35,10 @@ class Member:
     label: str
     heard_secs: float
     """when it last said how it is, or appeared"""
+    silent_secs: float
+    """it is silent after so long"""
+    env_steps: Speed
+    cpu_secs: Speed
     seen: bool = False
     """its token was there"""
     gone_secs: float | None = None
@@ -61,14 +48,12 @@ class Member:
     left: bool = False
     """it went in order, after the run was done"""
     status: Status | None = None
-    env_steps: Speed = field(default_factory=Speed)
-    cpu_secs: Speed = field(default_factory=Speed)
 
     def state(self, now_secs: float) -> str:
         """alive, silent, lost or left."""
         if self.lost_secs is not None:
             return "left" if self.left else "lost"
-        return "silent" if now_secs - self.heard_secs > SILENT_SECS else "alive"
+        return "silent" if now_secs - self.heard_secs > self.silent_secs else "alive"
 
 
 @dataclass(frozen=True)
@@ -82,29 +67,28 @@ class News:
 class Roster:
     """The members of a run, as they were last heard; `settle` it each second."""
 
-    def __init__(self) -> None:
+    def __init__(self, status_secs: float = 1.0) -> None:
+        """`status_secs` is the time between two words of a member."""
+        self.ledger = Ledger()
+        """what all have counted, also those that are not shown or gone"""
         self.news: deque[News] = deque(maxlen=MOST_NEWS)
         """whoever shows it takes it out"""
         self.errors: dict[str, str] = {}
-        """short name -> the newest of what went wrong there, of members that are there"""
+        """short name -> the newest of what went wrong there, of members that are there; the newest last"""
         self.linked = True
         self.not_shown = 0
-        """words of members beyond `MOST_MEMBERS`"""
+        """words of members beyond the bounds, or of no known service"""
         self.done = False
         """True once the run is done, and leaving is in order"""
         self._members: dict[str, Member] = {}
-        self._gone_steps = 0
+        self._silent_secs = max(SILENT_SECS, SILENT_STATUSES * status_secs)
+        self._rate_secs = max(RATE_SECS, SILENT_STATUSES * status_secs)
         self._linked_secs = float("-inf")
         self._said_secs: dict[str, float] = {}
 
     def __iter__(self) -> Iterator[Member]:
         ranked = sorted(self._members.values(), key=lambda m: (m.service == "actor", len(m.label), m.label))
         return iter(ranked)
-
-    @property
-    def env_steps(self) -> int:
-        """Environment steps of all actors so far, as far as they were heard."""
-        return self._gone_steps + sum(_env_steps(member) for member in self._members.values())
 
     def of(self, service: str) -> list[Member]:
         """The members of a service that are there."""
@@ -137,6 +121,7 @@ class Roster:
 
     def hear(self, status: Status, now_secs: float) -> None:
         """Take a member's word on how it is."""
+        self.ledger.hear(status)
         member = self._meet(status.service, status.life, now_secs)
         if member is None:
             return
@@ -152,6 +137,7 @@ class Roster:
         """Something went wrong; the same is told once, and of one process only now and then."""
         if self.errors.get(label) == sentence:
             return
+        self.errors.pop(label, None)
         self.errors[label] = sentence
         if now_secs >= self._said_secs.get(label, float("-inf")) + ERROR_SECS:
             self._said_secs[label] = now_secs
@@ -186,17 +172,19 @@ class Roster:
         member = self._members.get(life)
         if member is not None:
             return member
-        if len(self._members) >= MOST_MEMBERS and not self._forget_one_lost():
+        if service not in SERVICES or not self._has_room(service == "actor"):
             self.not_shown += 1
             return None
-        label = self._free_label(service)
-        self._members[life] = Member(life, service, label, now_secs)
+        label, rate_secs = self._free_label(service), self._rate_secs
+        self._members[life] = Member(
+            life, service, label, now_secs, self._silent_secs, Speed(rate_secs), Speed(rate_secs)
+        )
         return self._members[life]
 
     def _free_label(self, service: str) -> str:
         """The first of a0, a1... (or learner, learner-2...) that nobody has who is there."""
         taken = {member.label: member for member in self._members.values()}
-        for number in range(MOST_MEMBERS + 1):
+        for number in range(MOST_ACTORS + MOST_OTHERS):
             label = f"a{number}" if service == "actor" else service + (f"-{number + 1}" if number else "")
             if label not in taken:
                 return label
@@ -205,16 +193,16 @@ class Roster:
                 return label
         raise AssertionError("there are more short names than members")
 
-    def _forget_one_lost(self) -> bool:
-        lost = [member for member in self._members.values() if member.lost_secs is not None]
+    def _has_room(self, actor: bool) -> bool:
+        """Room for one more actor or other member, if need be that of the one that was lost first."""
+        alike = [member for member in self._members.values() if (member.service == "actor") is actor]
+        if len(alike) < (MOST_ACTORS if actor else MOST_OTHERS):
+            return True
+        lost = [member for member in alike if member.lost_secs is not None]
         if lost:
             self._forget(min(lost, key=lambda member: member.lost_secs or 0.0))
         return bool(lost)
 
     def _forget(self, member: Member) -> None:
-        self._gone_steps += _env_steps(member)
+        self.errors.pop(member.label, None)
         del self._members[member.life]
-
-
-def _env_steps(member: Member) -> int:
-    return 0 if member.status is None else member.status.totals.get("env_steps", 0)

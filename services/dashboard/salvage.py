@@ -71,12 +71,15 @@ def _step(file: BinaryIO, at: int, file_bytes: int) -> int | None:
     size = MESSAGE_HEADER.size + payload_bytes
     if kind > LAST_KIND or at + size > file_bytes:
         return None
-    return size if kind != END else _end(file, at + size, size)
+    return size if kind != END else _end(file, at + size, size, file_bytes)
 
 
-def _end(file: BinaryIO, at: int, size: int) -> int | None:
-    """Bytes of an end with what belongs behind it; what a disk left as zeros looks like one, but is none."""
-    footer = _read(file, at, FOOTER_BYTES)
+def _end(file: BinaryIO, at: int, size: int, file_bytes: int) -> int | None:
+    """Bytes of an end with what belongs behind it; what a disk left as zeros looks like one, but is none.
+
+    What was written after the file was measured does not count.
+    """
+    footer = _read(file, at, min(FOOTER_BYTES, file_bytes - at))
     if footer[FOOTER_MARK_AT:].startswith(FOOTER_MARK) and len(footer) == FOOTER_BYTES:
         return size + FOOTER_BYTES
     without_index = size == MESSAGE_HEADER.size and (not footer or footer.startswith(MAGIC))

@@ -14,8 +14,8 @@ from protocol.messages import PhaseAnnounced, Status, View
 from protocol.refusal import Reason, Refused
 from services.dashboard.blueprint import blueprint_of
 from services.dashboard.body import BodyPanel
-from services.dashboard.canvas import Panel
-from services.dashboard.config import DashboardOptions, created_secs, options_of
+from services.dashboard.canvas import Due, Panel
+from services.dashboard.config import DashboardOptions, created_secs, options_of, past_scores
 from services.dashboard.latent_book import LatentBook
 from services.dashboard.latents import LatentsPanel
 from services.dashboard.learning import LearningPanel
@@ -40,6 +40,9 @@ MAX_VIEW_BYTES = 64 << 20
 """of frames with views that wait"""
 RECORDING = "recording"
 """The folder of the files, in the run's folder."""
+LEDGER = "counts.json"
+"""In the same folder: what all processes had counted when a dashboard last lived."""
+LEDGER_SECS = 20.0
 
 
 class Dashboard:
@@ -51,9 +54,13 @@ class Dashboard:
         self._created_secs = created_secs(context.run_dir)
         self._gate = Gate(context.run, {"view", "status", "phase"})
         self._books = {block.name: LatentBook(block.name, block.latent_dim) for block in settings.block}
-        self._roster = Roster()
+        self._roster = Roster(settings.wire.status_secs)
+        self._ledger_path = context.run_dir / RECORDING / LEDGER
+        self._ledger_due = Due(LEDGER_SECS)
+        self._roster.ledger.read(self._ledger_path)
         self._body = BodyPanel(settings)
         self._learning = LearningPanel(self._books)
+        self._learning.recall(past_scores(context.run_dir))
         self._phase = PhasePanel(self._roster, self._books, settings.phases.iterations)
         panels: list[Panel] = [
             self._phase,
@@ -99,6 +106,7 @@ class Dashboard:
         self._heart.poll(now_secs, self._report, urgent=over or self._stopping)
         if over or self._stopping:
             self._ended = True
+            self._roster.ledger.write(self._ledger_path)
             self._recording.close()
             self._web.close()
             return None
@@ -192,7 +200,9 @@ class Dashboard:
         self._roster.done = self._phase.done
         self._roster.settle(now_secs)
         self._phase.note([self._recording.parts.last_error, self._web.error])
-        self._recording.draw(now_secs, now_secs - self._created_secs, self._roster.env_steps)
+        self._recording.draw(now_secs, now_secs - self._created_secs, self._roster.ledger["env_steps"])
+        if self._ledger_due(now_secs):
+            self._roster.ledger.write(self._ledger_path)
 
     def _report(self) -> dict[str, Any]:
         parts = self._recording.parts
@@ -200,6 +210,7 @@ class Dashboard:
             "totals": {
                 "views": self._views_drawn,
                 "superseded_views": self._superseded,
+                "ignored_views": self._body.ignored,
                 "dropped_views": self._views.dropped,
                 "dropped_statuses": self._statuses.dropped + self._control.dropped,
                 "rows": self._recording.rows,

@@ -8,7 +8,7 @@ import rerun as rr
 from protocol.messages import Status
 from services.dashboard.canvas import Canvas, Due, Lines, colours, page, plain
 from services.dashboard.colours import GREEN, GREY, SKY, VERMILLION, WHITE, YELLOW, Colour, of_index
-from services.dashboard.roster import Member, News, Roster
+from services.dashboard.roster import MOST_ACTORS, MOST_OTHERS, Member, News, Roster
 
 DRAW_SECS = 1.0
 SLOW_SECS = 5.0
@@ -123,18 +123,13 @@ def members_table(roster: Roster, now_secs: float) -> str:
         cells = [f"{member.label}", state, ago, *_words(member, now_secs)]
         rows.append("| " + " | ".join(_cell(cell) for cell in cells) + " |")
     if roster.not_shown:
-        rows += ["", "There are more members than the 64 that are shown."]
+        rows += ["", f"There are more than are shown: {MOST_ACTORS} actors and {MOST_OTHERS} others."]
     return "\n".join(rows)
 
 
 def troubles(roster: Roster) -> dict[str, int]:
-    """Frames lost, duplicated and refused, by all members together."""
-    said = [member.status for member in roster if member.status is not None]
-    return {
-        "lost": sum(status.lost for status in said),
-        "duplicated": sum(status.duplicated for status in said),
-        "refused": sum(sum(status.refused.values()) for status in said),
-    }
+    """Frames lost, duplicated and refused, by all members together, those that are gone too."""
+    return {name: roster.ledger[name] for name in TROUBLES}
 
 
 def _words(member: Member, now_secs: float) -> Iterator[str]:

@@ -2,7 +2,8 @@
 
 They lie inside rerun's own program, so it is started for a moment as a web server of this machine
 alone, asked for them, and stopped. The cache holds them with a manifest of sizes and digests; what
-does not agree with it is made anew.
+does not agree with it is made anew. A server holds them in memory (14 MB), so that it does without the
+cache: one that cannot be written, or that is deleted meanwhile.
 """
 
 import hashlib
@@ -11,7 +12,6 @@ import json
 import logging
 import os
 import re
-import shutil
 import subprocess
 import tempfile
 import threading
@@ -19,7 +19,7 @@ import time
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib import metadata, util
 from pathlib import Path
 
@@ -31,13 +31,12 @@ log = logging.getLogger(__name__)
 
 NAMES = ("favicon.ico", "re_viewer.js", "re_viewer_bg.wasm")
 MANIFEST = "manifest.json"
-START_SECS = 20.0
+START_SECS = 60.0
 """So long may rerun take until it says where it serves."""
-FETCH_SECS = 60.0
-"""So long may one file take."""
+FETCH_SECS = 120.0
+"""So long may one file take; all three take 2 to 6 s, and a minute on a machine that is very busy."""
 STOP_SECS = 5.0
 READ_BYTES = 1 << 20
-TEMPORARY = "babble-viewer-"
 GZIP_LEVEL = 6
 """Level 9 takes twice as long for 0.5 % less."""
 SERVES = re.compile(r"Hosting a web-viewer at http://127\.0\.0\.1:(\d+)")
@@ -51,20 +50,24 @@ class ViewerFilesError(UserError):
 
 @dataclass(frozen=True)
 class ViewerFile:
-    """One file, as it lies in the cache."""
+    """One file of the viewer."""
 
-    name: str
-    gzipped_bytes: int
+    gzipped: bytes
     raw_bytes: int
+    """Its size when unpacked."""
     sha256: str
     """Of the gzipped contents."""
+
+    @classmethod
+    def of(cls, gzipped: bytes, raw_bytes: int) -> "ViewerFile":
+        """These contents, and their digest."""
+        return cls(gzipped, raw_bytes, hashlib.sha256(gzipped).hexdigest())
 
 
 @dataclass(frozen=True)
 class ViewerFiles:
-    """All files of one version of the viewer; they lie gzipped in `folder`."""
+    """All files of one version of the viewer."""
 
-    folder: Path
     files: dict[str, ViewerFile]
 
     @property
@@ -73,16 +76,12 @@ class ViewerFiles:
         together = "".join(self.files[name].sha256 for name in NAMES)
         return hashlib.sha256(together.encode()).hexdigest()[:16]
 
-    def path(self, name: str) -> Path:
-        """Where the gzipped contents of a file are."""
-        return _gzipped(self.folder, name)
-
 
 def viewer_files(cancelled: threading.Event, cache: Path | None = None) -> ViewerFiles:
     """The files of the installed version; makes them if the cache has none that are whole.
 
-    Takes about 40 ms from the cache and 3 s otherwise. Where the cache cannot be written, they go
-    to a new temporary folder. Raises `ViewerFilesError`.
+    Takes about 40 ms from the cache and 3 s otherwise. A cache that cannot be written is done without.
+    Raises `ViewerFilesError`.
     """
     try:
         version = metadata.version("rerun-sdk")
@@ -96,17 +95,16 @@ def viewer_files(cancelled: threading.Event, cache: Path | None = None) -> Viewe
         return found
     started_secs = time.monotonic()
     try:
-        made = _make(folder, cancelled)
+        fetched = _fetch_all(cancelled)
     except OSError as error:
-        raise ViewerFilesError(f"the viewer's files can be kept nowhere here ({error}); make room") from None
-    log.info("made the viewer's files ready in %.1f s: %s", time.monotonic() - started_secs, made.folder)
+        raise ViewerFilesError(f"the viewer's files cannot be made ready here: {error}; make room") from None
+    made = ViewerFiles({name: ViewerFile.of(*contents) for name, contents in fetched.items()})
+    try:
+        _store(folder, made)
+    except StorageError as error:
+        log.warning("the viewer's files are not kept for the next time: %s", error.__cause__ or error)
+    log.info("made the viewer's files ready in %.1f s", time.monotonic() - started_secs)
     return made
-
-
-def discard_temporary(files: ViewerFiles) -> None:
-    """Delete the files if they lie in a temporary folder."""
-    if files.folder.name.startswith(TEMPORARY):
-        shutil.rmtree(files.folder, ignore_errors=True)
 
 
 def cache_folder() -> Path:
@@ -160,46 +158,33 @@ def _gzipped(folder: Path, name: str) -> Path:
     return folder / f"{name}.gz"
 
 
-def _make(folder: Path, cancelled: threading.Event) -> ViewerFiles:
-    """Fetch the files, and store them in the folder or in a temporary one. Raises OSError, `UserError`."""
-    fetched = _fetch_all(cancelled)
-    try:
-        return _store(folder, fetched)
-    except (OSError, StorageError) as error:
-        # A folder that only this user can write, so nobody can slip in other files.
-        made = _store(Path(tempfile.mkdtemp(prefix=TEMPORARY)), fetched)
-        log.warning("the viewer's files go to %s for now: %s", made.folder, error)
-        return made
-
-
 def _stored(folder: Path) -> ViewerFiles | None:
     """What lies in the folder, if it is all there and is what its manifest says."""
     try:
-        rows = json.loads((folder / MANIFEST).read_bytes())
-        files = {row["name"]: ViewerFile(**row) for row in rows}
+        rows = {row["name"]: row for row in json.loads((folder / MANIFEST).read_bytes())}
+        files = {}
         for name in NAMES:
-            contents = _gzipped(folder, name).read_bytes()
-            if hashlib.sha256(contents).hexdigest() != files[name].sha256:
+            files[name] = ViewerFile.of(_gzipped(folder, name).read_bytes(), int(rows[name]["raw_bytes"]))
+            if files[name].sha256 != rows[name]["sha256"]:
                 raise ValueError(f"{name} is not what was stored")
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, ValueError, TypeError, KeyError) as error:
         log.warning("the viewer's files in %s are damaged (%s) and are made anew", folder, error)
         return None
-    return ViewerFiles(folder, files)
+    return ViewerFiles(files)
 
 
-def _store(folder: Path, fetched: dict[str, tuple[bytes, int]]) -> ViewerFiles:
+def _store(folder: Path, made: ViewerFiles) -> None:
     """Write files, and last the manifest that declares them whole. Raises `StorageError`.
 
     Another process may do the same at this moment: it writes the same bytes.
     """
-    files = {}
-    for name, (contents, raw_bytes) in fetched.items():
-        write_atomically(_gzipped(folder, name), contents)
-        files[name] = ViewerFile(name, len(contents), raw_bytes, hashlib.sha256(contents).hexdigest())
-    write_atomically(folder / MANIFEST, json.dumps([asdict(file) for file in files.values()]).encode())
-    return ViewerFiles(folder, files)
+    rows = []
+    for name, file in made.files.items():
+        write_atomically(_gzipped(folder, name), file.gzipped)
+        rows.append({"name": name, "raw_bytes": file.raw_bytes, "sha256": file.sha256})
+    write_atomically(folder / MANIFEST, json.dumps(rows).encode())
 
 
 def _fetch_all(cancelled: threading.Event) -> dict[str, tuple[bytes, int]]:

@@ -12,7 +12,7 @@ from pathlib import Path
 from services.dashboard.answers import Answers
 from services.dashboard.connections import Server
 from services.dashboard.pages import ANYWHERE, LOOPBACK, AddressError, Hosts, check_bind
-from services.dashboard.viewer_files import discard_temporary, viewer_files
+from services.dashboard.viewer_files import viewer_files
 from services.runtime.errors import UserError
 
 log = logging.getLogger(__name__)
@@ -96,8 +96,6 @@ class WebServer:
             thread.join(CLOSE_SECS)
         if self._server is not None:
             self._server.server_close()
-        if self._answers.viewer is not None:
-            discard_temporary(self._answers.viewer)
 
     def _make_ready(self) -> None:
         try:

@@ -5,6 +5,7 @@ It is written beside its place, synced, renamed, and the folder synced: a kill a
 the previous checkpoint or the new one. Nothing is unpickled.
 """
 
+import contextlib
 import hashlib
 import json
 import logging
@@ -101,7 +102,9 @@ def write_atomically(path: Path, data: bytes | Iterable[bytes]) -> None:
         draft.replace(path)
         sync_folder(path.parent)
     except OSError as error:
-        draft.unlink(missing_ok=True)
+        # Where a parent is a file, there is no draft, and looking for it fails as the writing did.
+        with contextlib.suppress(OSError):
+            draft.unlink()
         refuse_storage(path, error)
 
 

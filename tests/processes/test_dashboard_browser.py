@@ -1,11 +1,11 @@
 """The served page in a real Chromium: a live stream, its end and return, and a replay; loopback only."""
 
+import gzip
 import io
 import json
 import signal
 import socket
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from services.dashboard.viewer_files import ViewerFiles, viewer_files
+from services.dashboard.viewer_files import viewer_files
 from services.dashboard.web_server import WebServer
 from tests.processes.chromium import PROGRAM, Chromium
 from tests.processes.owned import Owner, free_port, wait_for
@@ -29,6 +29,8 @@ ORANGE = (255, 180, 0)
 PAINTED_PX = 50
 PICTURE_SECS = 90.0
 """Software rendering on a busy machine; about 5 s on an idle one."""
+PAGE_SECS = 60.0
+"""For what needs no picture: a question every two seconds, on a busy machine."""
 VIEWERS_OWN_CALLS = {"tel.rerun.io", "api.github.com", "app.rerun.io"}
 """Hosts that the viewer tries to reach by itself: telemetry, the newest version, and example data."""
 
@@ -126,6 +128,7 @@ def _hosts(line: str) -> set[str]:
     return {part.split("/")[2] for part in line.split("'") if part.startswith(("http://", "https://"))}
 
 
+@pytest.mark.slow
 def test_the_page_shows_the_stream_and_asks_nobody_else(
     owner: Owner, browser: Chromium, serve: Callable[..., WebServer]
 ) -> None:
@@ -147,15 +150,17 @@ def test_the_page_says_what_is_missing_and_loads_anew_for_another_life(
     first = serve(0, free_port(), "dashboard-1")
     port = int(first.url.rpartition(":")[2])
     browser.open(first.url)
-    browser.wait_for("the missing stream", lambda: "cannot be reached" in text(browser, "message"), 30)
+    browser.wait_for("the missing stream", lambda: "cannot be reached" in text(browser, "message"), PAGE_SECS)
     assert browser.loads == 1
     first.close()
-    browser.wait_for("the note", lambda: "The dashboard has gone" in text(browser, "note-text"), 60)
+    browser.wait_for("the note", lambda: "The dashboard has gone" in text(browser, "note-text"), PAGE_SECS)
     browser.evaluate("document.getElementById('note-close').click()")
     assert text(browser, "note-text") == ""
     serve(port, free_port(), "dashboard-2")
-    browser.wait_for("the reload", lambda: browser.loads == 2, 30)
-    browser.wait_for("the stream's absence", lambda: "cannot be reached" in text(browser, "message"), 30)
+    browser.wait_for("the reload", lambda: browser.loads == 2, PAGE_SECS)
+    browser.wait_for(
+        "the stream's absence", lambda: "cannot be reached" in text(browser, "message"), PAGE_SECS
+    )
     assert text(browser, "note-text") == ""
 
 
@@ -164,12 +169,13 @@ def test_the_page_loads_anew_when_another_life_took_over_at_once(
 ) -> None:
     first = serve(0, free_port(), "dashboard-1")
     browser.open(first.url)
-    browser.wait_for("the missing stream", lambda: "cannot be reached" in text(browser, "message"), 30)
+    browser.wait_for("the missing stream", lambda: "cannot be reached" in text(browser, "message"), PAGE_SECS)
     first.close()
     serve(int(first.url.rpartition(":")[2]), free_port(), "dashboard-2")
-    browser.wait_for("the reload", lambda: browser.loads == 2, 30)
+    browser.wait_for("the reload", lambda: browser.loads == 2, PAGE_SECS)
 
 
+@pytest.mark.slow
 def test_a_recording_that_was_cut_off_is_replayed_until_a_signal(
     owner: Owner, browser: Chromium, cache: Path, tmp_path: Path
 ) -> None:
@@ -185,7 +191,7 @@ def test_a_recording_that_was_cut_off_is_replayed_until_a_signal(
         "--no-browser",
         environment={"XDG_CACHE_HOME": str(cache.parent)},
     )
-    replay.expect("was cut off", 30)
+    replay.expect("was cut off", PAGE_SECS)
     browser.open(replay.expect("recording of cuboid-1").split()[-4])
     browser.wait_for("the points of the recording", lambda: painted(browser), PICTURE_SECS)
     assert_nothing_left_the_machine(browser)
@@ -200,11 +206,11 @@ def test_the_viewers_files_come_out_of_the_installed_program_and_nothing_stays(
     cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    started_secs = time.monotonic()
-    made: ViewerFiles = viewer_files(threading.Event(), tmp_path / "another")
-    assert time.monotonic() - started_secs < 60
+    made = viewer_files(threading.Event(), tmp_path / "another")
     assert made.digest == viewer_files(threading.Event(), cache).digest
-    assert made.files["re_viewer_bg.wasm"].raw_bytes > 2 * made.files["re_viewer_bg.wasm"].gzipped_bytes
+    program = made.files["re_viewer_bg.wasm"]
+    assert program.raw_bytes > 2 * len(program.gzipped)
+    assert gzip.decompress(program.gzipped).startswith(b"\0asm")
     assert [path.name for path in tmp_path.iterdir()] == ["another"]
 
 
@@ -222,7 +228,7 @@ viewer_files._fetch = dawdle
 viewer_files.viewer_files(threading.Event(), Path(sys.argv[1]))
 """
     process = owner.start_code("dashboard", code, str(tmp_path))
-    port = int(process.expect("serving at", 30).split()[-1])
+    port = int(process.expect("serving at", PAGE_SECS).split()[-1])
     process.kill()
 
     def refused() -> bool:
@@ -232,4 +238,4 @@ viewer_files.viewer_files(threading.Event(), Path(sys.argv[1]))
             return True
         return False
 
-    wait_for("the end of rerun's program", refused)
+    wait_for("the end of rerun's program", refused, PAGE_SECS)

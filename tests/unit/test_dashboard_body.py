@@ -339,8 +339,19 @@ def test_an_actor_that_is_silent_is_no_longer_drawn(recording: Recording) -> Non
     assert names[-1] == ["a1"]
 
 
+def test_a_latent_that_is_no_number_has_no_vertex_and_no_colour(recording: Recording) -> None:
+    panel = BodyPanel(settings("Cuboid"))
+    latent = floats([[0.1, 0.8, 0.1], [0.1, np.nan, 0.1]])
+    panel.hear_view(view("latent", {"latent": latent, "posture": postures(2)}, block="body"), 0.0)
+    panel.draw(recording.at(0), 0.0)
+    recording.close()
+    assert sorted(recording.rows("/body/reached", "Points3D:colors")[0]) == sorted([of_index(1), GREY])
+
+
 @pytest.mark.parametrize(
-    "wrong", [np.zeros((4, 2)), np.full((4, 3), np.nan)], ids=["of another world", "not numbers"]
+    "wrong",
+    [np.zeros((4, 2)), np.full((4, 3), np.nan), np.zeros((0, 3))],
+    ids=["of another world", "not numbers", "none"],
 )
 def test_postures_that_are_none_of_this_world_are_counted(recording: Recording, wrong: np.ndarray) -> None:
     panel = BodyPanel(settings("Cuboid"))

@@ -1,6 +1,7 @@
 """What the panels make of what they hear: latents, measures, members, scores, words."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,10 +10,11 @@ from protocol.messages import ALL_BLOCKS, Phase, Score, Status
 from services.dashboard.colours import of_index
 from services.dashboard.latent_book import CLOUD_POINTS, CLOUD_SECS, STALE_SECS, LatentBook
 from services.dashboard.learning import LearningPanel, scores_table
+from services.dashboard.ledger import MOST_LIVES, Ledger
 from services.dashboard.measures import latent_entropy, usage_entropy, vertex_usage
 from services.dashboard.pens import grouped
 from services.dashboard.phase import duration_words, phase_states, phase_words
-from services.dashboard.roster import FORGET_SECS, MOST_MEMBERS, RETURN_SECS, Roster
+from services.dashboard.roster import FORGET_SECS, MOST_ACTORS, RETURN_SECS, Roster
 from services.dashboard.system import members_table, troubles
 from tests.unit.dashboard_feed import RUN, announced, view_of
 
@@ -144,18 +146,94 @@ def test_steps_of_actors_that_are_gone_still_count() -> None:
     roster.vanished("actor-x", 1.0)
     roster.settle(2.0)
     roster.hear(status_of("actor-y", totals={"env_steps": 70}), 3.0)
-    assert roster.env_steps == 570
+    assert roster.ledger["env_steps"] == 570
     roster.settle(2.0 + FORGET_SECS + 1)
-    assert roster.env_steps == 570
+    assert roster.ledger["env_steps"] == 570
+    assert "actor-x" not in [member.life for member in roster]
+    roster.appeared("actor", "actor-x", 70.0)
+    assert roster.ledger["env_steps"] == 570
+    roster.hear(status_of("actor-x", totals={"env_steps": 600}), 71.0)
+    assert roster.ledger["env_steps"] == 670, "one that was only away counts once"
+
+
+def test_what_was_lost_stays_counted_after_its_member_is_forgotten() -> None:
+    roster = Roster()
+    roster.appeared("actor", "actor-x", 0.0)
+    roster.hear(status_of("actor-x", lost=4, refused={"stale": 2}), 0.0)
+    roster.vanished("actor-x", 1.0)
+    for secs in (2.0, 2.0 + FORGET_SECS + 1):
+        roster.settle(secs)
+    assert not list(roster)
+    assert troubles(roster) == {"lost": 4, "duplicated": 0, "refused": 2}
+
+
+def test_counts_go_on_from_those_of_an_earlier_dashboard(tmp_path: Path) -> None:
+    path, first = tmp_path / "counts.json", Ledger()
+    for index in range(MOST_LIVES + 10):
+        first.hear(status_of(f"actor-{index}", totals={"env_steps": 10}, lost=1))
+    first.write(path)
+    second = Ledger()
+    second.read(path)
+    assert second["env_steps"] == 10 * (MOST_LIVES + 10)
+    second.hear(status_of("actor-500", totals={"env_steps": 15}))
+    second.hear(status_of("actor-new", totals={"env_steps": 100}))
+    assert second["env_steps"] == 10 * (MOST_LIVES + 10) + 5 + 100
+    assert second["lost"] == MOST_LIVES + 10
+    assert [entry.name for entry in tmp_path.iterdir()] == ["counts.json"]
+
+
+COUNTED = '{"names": ["env_steps", "lost", "duplicated", "refused"], '
+BROKEN_COUNTS = [
+    "",
+    "[]",
+    '{"names": ["env_steps"]}',
+    COUNTED + '"older": [0, 0, 0, 0], "lives": {"actor-1": [9]}}',
+    COUNTED + '"older": [-9, 0, 0, 0], "lives": {}}',
+]
+
+
+@pytest.mark.parametrize("text", BROKEN_COUNTS)
+def test_counts_that_cannot_be_read_begin_anew(tmp_path: Path, text: str) -> None:
+    path, ledger = tmp_path / "counts.json", Ledger()
+    path.write_text(text)
+    ledger.read(path)
+    assert ledger["env_steps"] == 0
+    ledger.hear(status_of("actor-1", totals={"env_steps": 3}))
+    assert ledger["env_steps"] == 3
 
 
 def test_more_members_than_can_be_shown_are_counted() -> None:
     roster = Roster()
-    for index in range(MOST_MEMBERS + 3):
-        roster.hear(status_of(f"actor-{index}"), 0.0)
-    assert len(list(roster)) == MOST_MEMBERS
+    for index in range(MOST_ACTORS + 3):
+        roster.hear(status_of(f"actor-{index}", totals={"env_steps": 10}), 0.0)
+    assert len(list(roster)) == MOST_ACTORS
     assert roster.not_shown == 3
-    assert "more members than the 64" in members_table(roster, 0.0)
+    assert "more than are shown: 64 actors" in members_table(roster, 0.0)
+    assert roster.ledger["env_steps"] == 10 * (MOST_ACTORS + 3), "the steps of all count"
+    for service in ("coordinator", "policy_learner"):
+        roster.appeared(service, f"{service}-1", 0.0)
+    assert [m.label for m in roster][:2] == ["coordinator", "policy_learner"], "actors leave room for others"
+    roster.hear(status_of("thing-1", "thing"), 0.0)
+    assert "thing" not in [m.label for m in roster]
+
+
+def test_members_that_speak_seldom_are_not_silent_and_have_a_speed() -> None:
+    roster = Roster(status_secs=8.0)
+    for turn in range(3):
+        roster.hear(status_of("actor-x", totals={"env_steps": 800 * turn}), 8.0 * turn)
+    (member,) = roster
+    assert member.state(23.0) == "alive"
+    assert member.env_steps.per_sec(23.0) == pytest.approx(100.0)
+    assert member.state(16.0 + 25.0) == "silent"
+
+
+def test_the_newest_error_comes_last_and_goes_with_its_member() -> None:
+    roster = Roster()
+    for turn, life in enumerate(("actor-x", "actor-y", "actor-x")):
+        roster.hear(status_of(life, last_error=f"trouble {turn}"), float(turn))
+    assert list(roster.errors.items()) == [("a1", "trouble 1"), ("a0", "trouble 2")]
+    roster.settle(2.0 + FORGET_SECS + 1)
+    assert roster.errors == {}
 
 
 def test_the_table_says_how_each_member_does() -> None:

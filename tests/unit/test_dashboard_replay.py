@@ -16,7 +16,7 @@ import rerun as rr
 from rerun.chunk import RrdReader
 from rerun.error_utils import RerunWarning
 
-from services.dashboard import replay, viewer_files
+from services.dashboard import replay, salvage, viewer_files
 from services.dashboard.pages import AddressError
 from services.dashboard.salvage import STREAM_HEADER_BYTES, RecordingError, measure
 from services.dashboard.web_server import WebServer
@@ -110,6 +110,16 @@ def test_what_is_no_message_is_cut(tmp_path: Path, tail: bytes) -> None:
 def test_nothing_is_whole_of_what_is_no_recording(tmp_path: Path, contents: bytes) -> None:
     whole = measure(written(tmp_path / "none.rrd", contents))
     assert (whole.whole_bytes, whole.messages) == (0, 0)
+
+
+def test_an_end_that_is_written_while_it_is_measured_does_not_count_yet(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    contents = b"".join(SHORT) + END
+    path = written(tmp_path / "growing.rrd", contents)
+    measured = os.stat_result([*path.stat()[:6], len(contents) - 1, *path.stat()[7:]])
+    monkeypatch.setattr(salvage.os, "fstat", lambda handle: measured)
+    assert measure(path).whole_bytes == len(b"".join(SHORT))
 
 
 def test_a_recording_that_cannot_be_read_is_named(tmp_path: Path) -> None:

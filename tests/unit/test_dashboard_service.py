@@ -212,6 +212,44 @@ def test_started_late_and_again_it_goes_on_in_the_same_recording(stages: Stages,
     assert states([second], "/members/a0") == ["alive"]
 
 
+def test_a_resumed_run_goes_on_counting_steps_and_shows_its_scores(stages: Stages, tmp_path: Path) -> None:
+    stage = stage_of(stages, tmp_path, 3)
+    row = next(iter(stage.feed.scores(2, Phase.PRACTISE, 4).scores)).model_dump_json()
+    (stage.run_dir / "scores.jsonl").write_text(f"{row}\n{row[:40]}")
+    stage.everybody_joins()
+    stage.start()
+    stage.play(3.0, Phase.WALK, 5)
+    stage.end()
+    for _, life in stage.feed.lives:
+        stage.hub.crash(life)
+    stage.join("actor", "actor-resumed")
+    stage.start()
+    stage.poll()
+    stage.end()
+    first, second = paths = parts_of(stage.run_dir)
+    steps = max(row.env_steps or 0 for row in rows_of([first]))
+    assert steps > 3000
+    assert rows_of([second], "/status/summary")[0].env_steps == steps
+    for path in paths:
+        assert "practise 2" in documents([path], "/status/scores")[0]
+
+
+def test_the_lag_of_each_block_has_a_line_of_its_own_name(stages: Stages, tmp_path: Path) -> None:
+    stage = stage_of(stages, tmp_path, 2, 3)
+    stage.start()
+    stage.everybody_joins()
+    stage.play(1.0, Phase.WALK, 1)
+    stage.end()
+    styles = [row for row in rows_of(parts_of(stage.run_dir)) if row.entity.endswith(("lag_mean", "lag_max"))]
+    named = {
+        (row.values["SeriesLines:names"][0], row.values["SeriesLines:colors"][0])
+        for row in styles
+        if "SeriesLines:names" in row.values
+    }
+    assert {name for name, _ in named} == {f"block-{i}: {what}" for i in (0, 1) for what in ("mean", "most")}
+    assert len({colour for _, colour in named}) == 4
+
+
 def test_a_new_part_stands_alone(stages: Stages, tmp_path: Path) -> None:
     stage = stage_of(stages, tmp_path, 3, recording_mb=3)
     stage.start()

@@ -162,7 +162,7 @@ def test_a_coarse_skin_has_a_few_hundred_points_on_all_parts(id: str, tmp_path: 
     model, _ = moved(id, {"file": things_file(tmp_path)} if id == "Mjcf" else parameters)
     touch = coarse_touch(model)
     assert touch is not None
-    assert 300 <= touch.size <= 600
+    assert 300 <= touch.shape[0] <= 600
     again = coarse_touch(model)
     assert again is not None
     for patch, other in zip(touch.patches, again.patches, strict=True):

@@ -134,6 +134,14 @@ def test_a_full_disk_is_one_sentence_and_leaves_the_old_file(
     assert checkpoints.newest() == (1, b"old")
 
 
+def test_a_file_in_place_of_the_folder_is_one_sentence_too(tmp_path: Path) -> None:
+    (tmp_path / "a file").write_bytes(b"in the way")
+    for path in (tmp_path / "a file" / "new", tmp_path / "a file" / "folder" / "new"):
+        with pytest.raises(StorageError, match=f"cannot write {path}"):
+            write_atomically(path, b"new")
+    assert (tmp_path / "a file").read_bytes() == b"in the way"
+
+
 def test_the_file_is_synced_before_it_gets_its_name_and_the_folder_after(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

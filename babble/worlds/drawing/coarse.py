@@ -5,8 +5,7 @@ on its legs: distances differ by a factor of twenty. Here they differ by about t
 """
 
 import math
-from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping
 from glob import escape
 
 import mujoco
@@ -15,8 +14,7 @@ from numpy.typing import NDArray
 
 from babble.worlds.drawing.poses import turned
 from babble.worlds.physics.patterns import PatternError
-from babble.worlds.senses.sense import Floats
-from babble.worlds.senses.skin import MAX_RESOLUTION, Patch, SkinError, skin
+from babble.worlds.senses.skin import MAX_RESOLUTION, SkinError, skin
 from babble.worlds.senses.surfaces import SKINNED
 from babble.worlds.senses.touch import Touch
 
@@ -36,36 +34,22 @@ _TINY = 1e-3
 """A resolution at which a skin tells its distances at almost no cost."""
 
 
-class CoarseTouch:
-    """The forces on the points of a coarse skin, by the rule of `babble.worlds.senses.touch`."""
-
-    def __init__(self, touches: Sequence[Touch]) -> None:
-        self._touches = tuple(touches)
-        self.patches: tuple[Patch, ...] = tuple(patch for touch in touches for patch in touch.patches)
-        """whose points are, one after the other, those of `read`"""
-        self.size = sum(len(patch.points) for patch in self.patches)
-
-    def read(self, data: mujoco.MjData) -> Floats:
-        """(N,) the norm of the force on each point in newton, after a step or mj_forward."""
-        return np.concatenate([touch.read([data])[0] for touch in self._touches])
-
-
-def coarse_touch(model: mujoco.MjModel) -> CoarseTouch | None:
-    """At most `MOST_POINTS` points on the model's bodies; None where they can have no skin."""
+def coarse_touch(model: mujoco.MjModel) -> Touch | None:
+    """Of at most `MOST_POINTS` points on the model's bodies; None where they can have no skin."""
     if _faces(model) > MOST_FACES:
         return None
     try:
         own_m = {patch.name: _TINY * patch.distance_m for patch in skin(model, resolution=_TINY)}
         spacing_m = (FIRST_EXTENTS * model.stat.extent) ** 2 / LONGEST_M
-        best: CoarseTouch | None = None
+        best, most = None, 0
         for _ in range(TRIES):
-            found = CoarseTouch(_touches(model, own_m, spacing_m))
-            if found.size <= MOST_POINTS and (best is None or found.size > best.size):
-                best = found
-            if ENOUGH_POINTS <= found.size <= MOST_POINTS:
+            touch = Touch(model, components="norm", distances_m=_distances_m(own_m, spacing_m))
+            (size,) = touch.shape
+            if most < size <= MOST_POINTS:
+                best, most = touch, size
+            if most >= ENOUGH_POINTS:
                 break
-            step = found.size / (0.9 * MOST_POINTS)
-            spacing_m *= min(max(step, 1 / MOST_STEP), MOST_STEP)
+            spacing_m *= min(max(size / (0.9 * MOST_POINTS), 1 / MOST_STEP), MOST_STEP)
     except (SkinError, PatternError):
         return None
     return best
@@ -97,18 +81,12 @@ def outwards(model: mujoco.MjModel, body: Indices, points: Points) -> Points:
     return np.asarray(away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12))
 
 
-def _touches(model: mujoco.MjModel, own_m: dict[str, float], spacing_m: float) -> list[Touch]:
-    """One for all bodies whose distances in the skin's own table are within an octave of one another.
-
-    Here a body's points are as far apart as the geometric mean of its own distance and `spacing_m`.
-    """
-    alike: dict[int, list[str]] = defaultdict(list)
-    for name, metres in own_m.items():
-        alike[round(math.log2(min(metres, LONGEST_M)))].append(escape(name))
-    return [
-        Touch(model, names, min(math.sqrt(2**octave / spacing_m), MAX_RESOLUTION), components="norm")
-        for octave, names in alike.items()
-    ]
+def _distances_m(own_m: Mapping[str, float], spacing_m: float) -> dict[str, float]:
+    """By body: the geometric mean of its own distance in the skin's table and `spacing_m`, about."""
+    return {
+        escape(name): metres * max(math.sqrt(spacing_m / min(metres, LONGEST_M)), 1 / MAX_RESOLUTION)
+        for name, metres in own_m.items()
+    }
 
 
 def _faces(model: mujoco.MjModel) -> int:

@@ -10,7 +10,7 @@ with the opposite force and the normal towards it; MjData is not written to; and
 where no point lies within R, the nearest one feels all of it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import mujoco
@@ -19,7 +19,7 @@ import numpy as np
 from babble.worlds.senses.contacts import Array, Contacts, Indices, contacts_of, joined
 from babble.worlds.senses.nearby import Nearby
 from babble.worlds.senses.sense import Copies, Floats
-from babble.worlds.senses.skin import SkinError, skin
+from babble.worlds.senses.skin import MIMO_DISTANCES_M, SkinError, skin
 
 Components = Literal["vector", "norm"]
 REACH_POINTS = 2.0
@@ -44,11 +44,12 @@ class Touch:
         bodies: Sequence[str] = ("*",),
         resolution: float = 1.0,
         components: Components = "vector",
+        distances_m: Mapping[str, float] = MIMO_DISTANCES_M,
     ) -> None:
-        """Feel with the bodies that match the patterns; see `skin` for these, and for errors."""
+        """Feel with the bodies that match the patterns; see `skin` for these, distances and errors."""
         if components not in ("vector", "norm"):
             raise SkinError(f'touch: components are "vector" or "norm", got {components!r}')
-        self.patches = skin(model, bodies, resolution)
+        self.patches = skin(model, bodies, resolution, distances_m)
         self._model = model
         self._vector = components == "vector"
         reach_m = REACH_POINTS * np.array([patch.distance_m for patch in self.patches])
