@@ -52,7 +52,10 @@ def main() -> None:
     parser.add_argument("--connect", help="the router's address (default: the one in the run's folder)")
     parser.add_argument("--secs", type=float, default=10.0)
     arguments = parser.parse_args()
-    endpoint = arguments.connect or (arguments.run_dir / "endpoint").read_text().strip()
+    try:
+        endpoint = arguments.connect or (arguments.run_dir / "endpoint").read_text().strip()
+    except OSError:
+        raise SystemExit(f"{arguments.run_dir} is no run that is going on; or give --connect") from None
     listen(read_run_name(arguments.run_dir), endpoint, arguments.secs)
 
 

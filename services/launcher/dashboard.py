@@ -6,6 +6,7 @@ import importlib.util
 import os
 import socket
 import tempfile
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -16,6 +17,8 @@ from services.runtime.errors import UserError
 HOST = "127.0.0.1"
 WEB_PORT = 9090
 GRPC_PORT = 9876
+MOST_TRIES = 8
+"""A port that the kernel calls free may be locked by another run that is only just starting."""
 PACKAGE = "rerun"
 MISSING = (
     "none, because rerun-sdk is not installed here; `babble doctor` says how to get it (extra `dashboard`)"
@@ -100,6 +103,12 @@ class Ports:
 
     def _take(self, port: int) -> int:
         """Lock a port that is free, or any one for 0. Raises OSError."""
+        for _ in range(0 if port else MOST_TRIES - 1):
+            with suppress(OSError):
+                return self._try(0)
+        return self._try(port)
+
+    def _try(self, port: int) -> int:
         with socket.socket() as probe:
             # As servers bind: a port that is only waiting out its last connections is free.
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

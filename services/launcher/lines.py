@@ -77,6 +77,17 @@ def score_table(rows: Sequence[Row], *, newest: int | None = None) -> list[str]:
     return lines
 
 
+def brief(rows: Sequence[Row], best: Mapping[str, Row], newest: int) -> list[Row]:
+    """Of each block the rows of so many of its newest iterations, and of the one that is kept."""
+    blocks = dict.fromkeys(str(row["block"]) for row in rows)
+    wanted = set[tuple[str, object]]()
+    for block in blocks:
+        iterations = sorted({int(str(row["iteration"])) for row in rows if row["block"] == block})
+        wanted |= {(block, iteration) for iteration in iterations[-newest:]}
+    wanted |= {(block, row["iteration"]) for block, row in best.items()}
+    return [row for row in rows if (str(row["block"]), row["iteration"]) in wanted]
+
+
 def best_words(best: Mapping[str, Row]) -> list[str]:
     """Which iteration is kept, and why."""
     return [f"best of {block}: {row['reason']}" for block, row in best.items()]

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field, replace
 from protocol.latest import LatestPhase
 from protocol.messages import Phase, PhaseAnnounced, Progress, Status
 from services.runtime.settings import GoalSettings
+from services.runtime.speed import Speed
 
-RATE_SECS = 5.0
-"""Speeds are over so many of the last seconds, as far as they are known."""
 SHOW_LOST_SECS = 10.0
 """A member that went is shown as lost for so long."""
 SHOW_MISHAP_SECS = 30.0
@@ -20,31 +19,12 @@ ERROR_SECS = 10.0
 """What goes wrong in one process is told so often at most; the newest is always to be seen."""
 DOUBT_SECS = 0.3
 """The tokens of all members go a moment before the own link is known to be lost."""
+MOST_LAST_WORDS = 256
 MOST_NEWS = 100
 MOST_EVENTS = 16
 """So many of the last events can be seen again."""
 UNEASY_SECS = 5.0
 """A member that has said nothing for so long is worth a look."""
-
-
-class Speed:
-    """How fast a total grows."""
-
-    def __init__(self) -> None:
-        self._heard: deque[tuple[float, int]] = deque(maxlen=64)
-
-    def hear(self, now_secs: float, total: int) -> None:
-        """A total; one that is smaller than before is a new count."""
-        if self._heard and total < self._heard[-1][1]:
-            self._heard.clear()
-        self._heard.append((now_secs, total))
-
-    def per_sec(self, now_secs: float) -> float | None:
-        """The mean of the last `RATE_SECS`; None while there is too little to tell."""
-        recent = [(secs, total) for secs, total in self._heard if secs >= now_secs - RATE_SECS]
-        if len(recent) < 2 or recent[-1][0] <= recent[0][0]:
-            return None
-        return (recent[-1][1] - recent[0][1]) / (recent[-1][0] - recent[0][0])
 
 
 @dataclass
@@ -120,6 +100,8 @@ class Picture:
         self._said_secs: dict[str, float] = {}
         self._mishaps: dict[str, float] = {}
         self._of_the_gone = Tally()
+        self._last_words: dict[str, Status] = {}
+        """Of those forgotten, the oldest first: one may be back (stopped and continued), and counts once."""
 
     @property
     def announced(self) -> PhaseAnnounced | None:
@@ -141,6 +123,7 @@ class Picture:
     def hear_status(self, status: Status, now_secs: float) -> None:
         """Take a member's status."""
         member = self._members.setdefault(status.life, Member(status.life, status.service))
+        self._last_words.pop(status.life, None)
         member.status, member.heard_secs = status, now_secs
         member.cpu.hear(now_secs, round(1000 * status.metrics.get("cpu_secs", 0.0)))
         if "env_steps" in status.totals:
@@ -205,8 +188,10 @@ class Picture:
         ]
         for life in old:
             if (status := self._members.pop(life).status) is not None:
-                self._of_the_gone.add(status)
+                self._last_words[life] = status
             self.errors.pop(life, None)
+        while len(self._last_words) > MOST_LAST_WORDS:
+            self._of_the_gone.add(self._last_words.pop(next(iter(self._last_words))))
 
     def members(self, service: str | None = None) -> list[Member]:
         """Those alive and those lost lately, of one service or of all."""
@@ -231,9 +216,9 @@ class Picture:
     def tally(self) -> Tally:
         """Lost, duplicated, refused and resent, over all lives that were heard of."""
         tally = replace(self._of_the_gone)
-        for member in self._members.values():
-            if member.status is not None:
-                tally.add(member.status)
+        heard = [member.status for member in self._members.values() if member.status is not None]
+        for status in (*self._last_words.values(), *heard):
+            tally.add(status)
         return tally
 
     def measured(self) -> dict[str, dict[str, float]]:

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterator, Mapping
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,8 @@ Record = Mapping[str, Any]
 LONGEST_LINE_BYTES = 1 << 20
 """What is longer is no record of ours, and is not held in memory."""
 MOST = 2**53
+MOST_SECS = 2.0**40
+"""Times further from 1970 (35,000 years) are damaged."""
 
 
 class Records:
@@ -64,7 +65,7 @@ def number(record: Record, name: str) -> float | None:
 def moment(record: Record, name: str) -> float | None:
     """A time of a record; None where it is missing or none."""
     value = number(record, name)
-    return value if value is not None and isfinite(value) else None
+    return value if value is not None and abs(value) < MOST_SECS else None
 
 
 def count(record: Record, name: str) -> int | None:

@@ -5,6 +5,7 @@ import json
 import os
 import platform
 import subprocess
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
@@ -26,6 +27,9 @@ DASHBOARD = "dashboard"
 LONGEST_SCENARIO = 32
 """So much of the scenario's name goes into the run's, which is at most 64 characters."""
 MOST_ALIKE = 100
+LOCK_SECS = 0.2
+"""Whoever only looks whether the folder is in use holds its lock for far less."""
+LOCK_POLL_SECS = 0.01
 GIT_SECS = 5.0
 PACKAGES = (
     "eclipse-zenoh",
@@ -37,7 +41,6 @@ PACKAGES = (
     "onnxruntime",
     "pyarrow",
     "pydantic",
-    "rerun-sdk",
     "rerun-sdk",
     "stable-baselines3",
     "torch",
@@ -89,6 +92,10 @@ class RunFolder:
         here = Path.cwd()
         return str(self.path.relative_to(here) if self.path.is_relative_to(here) else self.path)
 
+    def note_endpoint(self, address: str) -> None:
+        """Record where the router is. Raises `StorageError`."""
+        write_atomically(self.path / ENDPOINT, f"{address}\n".encode())
+
     def endpoint(self) -> str:
         """The router's address while the run goes on. Raises `RunFolderError` if none is recorded."""
         try:
@@ -111,7 +118,16 @@ class RunFolder:
         if url:
             write_atomically(self.path / DASHBOARD, f"{url}\n".encode())
         else:
-            (self.path / DASHBOARD).unlink(missing_ok=True)
+            self._remove(DASHBOARD)
+
+    def forget_addresses(self) -> None:
+        """Nobody is at the router's and the dashboard's address any more. Raises `StorageError`."""
+        self._remove(DASHBOARD)
+        self._remove(ENDPOINT)
+
+    def recorded(self) -> bool:
+        """True if there is something for `babble view` to show."""
+        return any((self.path / "recording").glob("*.rrd"))
 
     def settings(self) -> RunSettings:
         """The run's settings, as recorded at its start. Raises `SettingsError`."""
@@ -133,23 +149,25 @@ class RunFolder:
         except OSError as error:
             refuse_storage(path, error)
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if not _lock(handle, fcntl.LOCK_EX, LOCK_SECS):
+                raise RunFolderError(
+                    f"the run {self.shown} is going on in another process; "
+                    f"see it with `babble status {self.shown}`"
+                )
             yield
-        except BlockingIOError:
-            raise RunFolderError(
-                f"the run {self.shown} is going on in another process; "
-                f"see it with `babble status {self.shown}`"
-            ) from None
         finally:
             os.close(handle)
 
     def in_use(self) -> bool:
-        """True while a launcher holds the folder."""
+        """True while a launcher holds the folder; any number may look at once."""
         try:
-            with self.locked():
-                return False
-        except RunFolderError:
-            return True
+            handle = os.open(self.path / "lock", os.O_RDONLY)
+        except OSError:
+            return False  # none has ever held it
+        try:
+            return not _lock(handle, fcntl.LOCK_SH)
+        finally:
+            os.close(handle)
 
     def scores(self) -> list[dict[str, Any]]:
         """The rows of `scores.jsonl`; none if there are none yet."""
@@ -177,7 +195,7 @@ class RunFolder:
             return 0
 
     def events(self, newest: int) -> list[dict[str, Any]]:
-        """So many of the last rows of `events.jsonl`; those that cannot be read are left out."""
+        """So many of the last rows of `events.jsonl`, less those that cannot be read."""
         rows: list[dict[str, Any]] = []
         try:
             lines = (self.path / "events.jsonl").read_bytes().split(b"\n")[:-1]
@@ -185,7 +203,8 @@ class RunFolder:
             return rows
         for line in lines[-newest:]:
             with suppress(ValueError):
-                rows.append(json.loads(line))
+                row = json.loads(line)
+                rows += [row] if isinstance(row, dict) else []
         return rows
 
     def best(self) -> dict[str, dict[str, Any]]:
@@ -199,6 +218,12 @@ class RunFolder:
     def finish(self, result: dict[str, Any]) -> None:
         """Record that the run is completed. Raises `StorageError`."""
         write_atomically(self.path / "result.json", json.dumps(result, indent=2).encode() + b"\n")
+
+    def _remove(self, name: str) -> None:
+        try:
+            (self.path / name).unlink(missing_ok=True)
+        except OSError as error:
+            refuse_storage(self.path / name, error)
 
     def _read(self, name: str) -> dict[str, Any]:
         path = self.path / name
@@ -214,9 +239,14 @@ class RunFolder:
 
 
 def running() -> list[RunFolder]:
-    """The runs under runs/ that a launcher holds, the newest last."""
-    files = sorted(RUNS.glob("*/run.json"), key=lambda path: path.stat().st_mtime)
-    return [folder for folder in (RunFolder.find(str(path.parent)) for path in files) if folder.in_use()]
+    """The runs under runs/ that a launcher holds, the newest last; a damaged folder is none."""
+    found: list[tuple[float, RunFolder]] = []
+    for path in RUNS.glob("*/run.json"):
+        with suppress(UserError, OSError):
+            folder = RunFolder.find(str(path.parent))
+            if folder.in_use():
+                found.append((path.stat().st_mtime, folder))
+    return [folder for _, folder in sorted(found, key=lambda each: each[0])]
 
 
 def run_name(settings: RunSettings, made: datetime) -> str:
@@ -269,6 +299,20 @@ def _git(*arguments: str) -> str | None:
     except (OSError, subprocess.SubprocessError):
         return None
     return said.stdout.strip()
+
+
+def _lock(handle: int, how: int, within_secs: float = 0.0) -> bool:
+    """Whether the lock could be had in time."""
+    deadline_secs = time.monotonic() + within_secs
+    while True:
+        try:
+            fcntl.flock(handle, how | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() >= deadline_secs:
+                return False
+            time.sleep(LOCK_POLL_SECS)
+        else:
+            return True
 
 
 def _new_folder(name: str) -> Path:

@@ -49,8 +49,8 @@ def write_scalars(run_dir: Path, run: str) -> Path:
         raise UserError(
             f"pyarrow, which writes {FILE}, is not installed here; install it with `make setup`"
         ) from None
-    named = pyarrow.dictionary(pyarrow.int32(), pyarrow.string())
-    number_type, count_type = pyarrow.float64(), pyarrow.int64()
+    # Not dictionaries, which the file has of its own accord: as categories, readers refuse to search them.
+    named, number_type, count_type = pyarrow.string(), pyarrow.float64(), pyarrow.int64()
     types = (number_type, count_type, named, count_type, named, named, named, number_type)
     schema = pyarrow.schema([("run", named), *zip(Scalar._fields, types, strict=True)])
     path = run_dir / FILE

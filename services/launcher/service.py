@@ -4,6 +4,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 from services.launcher.child import ChildProcess
@@ -12,11 +13,10 @@ from services.launcher.dashboard import HOST, Ports
 from services.launcher.display import Display
 from services.launcher.listening import Listener
 from services.launcher.members import Picture
-from services.launcher.run_folder import ENDPOINT, RunFolder
+from services.launcher.run_folder import RunFolder
 from services.launcher.supervisor import USER_ERROR, Part, Supervisor
 from services.runtime.bus import Bus, Wakeup
-from services.runtime.checkpoint import write_atomically
-from services.runtime.errors import BusError
+from services.runtime.errors import BusError, StorageError
 from services.runtime.process import new_life
 from services.runtime.settings import RunSettings
 
@@ -104,7 +104,7 @@ class Launcher:
 
         Raises `StorageError` or `UserError` if not even that is possible.
         """
-        write_atomically(self._folder.path / ENDPOINT, f"{self._endpoint}\n".encode())
+        self._folder.note_endpoint(self._endpoint)
         self._folder.note_dashboard(self._picture.dashboard)
         try:
             with self._display:
@@ -112,6 +112,8 @@ class Launcher:
         finally:
             # Whatever happened above: nothing that was started is left behind.
             self._supervisor.stop(signal.SIGKILL, everything=True)
+            with suppress(StorageError):
+                self._folder.forget_addresses()
 
     def _work(self, interrupts: Interrupts) -> Outcome:
         """Start all at once (they take seconds to import what they need), look after them, end."""

@@ -15,7 +15,7 @@ from protocol import keys
 from protocol.codec import Refused, decode, encode
 from protocol.messages import ALL_BLOCKS, Command, Name, Reply
 from services.launcher.frame import facts
-from services.launcher.lines import ASCII, Signs, best_words, score_table
+from services.launcher.lines import ASCII, Signs, best_words, brief, score_table
 from services.launcher.listening import Listener
 from services.launcher.members import Picture
 from services.launcher.run_folder import RUNS, RunFolder, RunFolderError, running
@@ -30,6 +30,8 @@ LISTEN_SECS = 2.5
 """Members speak each second; speeds need two words of each."""
 MOST_COLUMNS = 100
 MOST_EVENTS = 5
+MOST_ITERATIONS = 4
+"""Of each block; the one that is kept is shown besides."""
 
 
 class NotRunning(UserError):
@@ -102,7 +104,7 @@ def status_lines(
     *,
     dashboard: str = "",
     facts: Sequence[str] = (),
-    events: Iterable[Mapping[str, str]] = (),
+    events: Iterable[Mapping[str, object]] = (),
 ) -> list[str]:
     """The coordinator's description for a person, with what was heard and seen besides.
 
@@ -118,8 +120,8 @@ def status_lines(
     lines += [f"and {told['unlisted']:,} more"] if told["unlisted"] and not facts else []
     if told["scores"]:
         best = {row["block"]: row for row in told["best"]}
-        lines += ["", *score_table(told["scores"]), *best_words(best)]
-    happened = [f"{_clock(event['time'])}  {event['text']}" for event in events]
+        lines += ["", *score_table(brief(told["scores"], best, MOST_ITERATIONS)), *best_words(best)]
+    happened = [words for event in events if (words := _happened(event))]
     return lines + (["", *happened] if happened else [])
 
 
@@ -134,9 +136,13 @@ def _plain_facts(picture: Picture) -> list[str]:
     return ["".join(text for text, _ in row).rstrip() for row in rows]
 
 
-def _clock(time_text: str) -> str:
-    """The local time of day of an ISO time."""
-    return datetime.fromisoformat(time_text).astimezone().strftime("%H:%M:%S")
+def _happened(event: Mapping[str, object]) -> str:
+    """A milestone with its local time of day; empty if it is damaged."""
+    try:
+        moment = datetime.fromisoformat(str(event["time"])).astimezone()
+        return f"{moment:%H:%M:%S}  {event['text']}"
+    except (KeyError, ValueError, OverflowError):
+        return ""
 
 
 def _whom_to_ask(run: str | None, endpoint: str | None) -> tuple[str, str, RunFolder | None]:
@@ -146,6 +152,11 @@ def _whom_to_ask(run: str | None, endpoint: str | None) -> tuple[str, str, RunFo
     if run is not None:
         folder = RunFolder.find(run)
         if not folder.in_use():
+            if folder.result():
+                raise NotRunning(
+                    f"the run {folder.shown} is completed; read {folder.shown}/report.md"
+                    + (f", or see it again with `babble view {folder.shown}`" if folder.recorded() else "")
+                )
             raise NotRunning(
                 f"the run {folder.shown} is not going on; go on with `babble up --resume {folder.shown}`"
             )

@@ -1,26 +1,30 @@
 """`babble up`: from the command line to the scores."""
 
 import argparse
+import os
 import shutil
 import signal
 import sys
 import textwrap
 import time
-from collections.abc import Callable, Mapping
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 
 from services.launcher import dashboard
 from services.launcher.config import Address, address_of, check_world, scenario_settings
 from services.launcher.dashboard import GRPC_PORT, WEB_PORT, Choice, Ports
 from services.launcher.display import display_for
-from services.launcher.lines import best_words, cpu_table, score_table
+from services.launcher.lines import best_words, brief, cpu_table, score_table
 from services.launcher.run_folder import RunFolder
 from services.launcher.service import Interrupts, Launcher, Outcome
+from services.runtime.checkpoint import DRAFT_SUFFIX
 from services.runtime.errors import UserError
 from services.runtime.settings import RunSettings
 
 MOST_COLUMNS = 100
+MOST_ITERATIONS = 20
+"""Of each block, in the table of scores at the end; the one that is kept is shown besides."""
 MOST_PORT = 65535
 
 
@@ -54,6 +58,7 @@ def _resume(arguments: argparse.Namespace) -> int:
     if folder.result():
         print(f"the run {folder.shown} is completed already; its scores:\n")
         _print_scores(folder)
+        _say_how_to_see_it(folder)
         return 0
     address, choice = address_of(arguments.listen), _choice(arguments)
     with dashboard.ports_for(choice) or nullcontext() as ports:
@@ -84,25 +89,61 @@ def _go(
     print(f"stopped; go on with: babble up --resume {folder.shown}", flush=True)
     # The folder is free again, so that the report does not take the run for one that is going on.
     if outcome.code != 128 + signal.SIGTERM:
-        _report_so_far(folder)
+        _report_so_far(folder, outcome.code)
     return outcome.code
 
 
-def _report_so_far(folder: RunFolder) -> None:
-    """The report of a run that ended early, which another Ctrl-C leaves out.
+def _report_so_far(folder: RunFolder, code: int) -> None:
+    """The report of a run that ended early.
 
     Not after SIGTERM: a machine that shuts down waits for nobody.
     """
-    from services.launcher.report import write_report
-
     print("writing a report of what there is so far (Ctrl-C leaves it out)", flush=True)
     try:
-        report = write_report(folder.path, rollouts=False)
-    except (UserError, KeyboardInterrupt) as error:
-        why = f" ({error})" if str(error) else ""
-        print(f"it was not written{why}; babble report {folder.shown} does it later")
-    else:
+        _report(folder, code, rollouts=False)
+    except UserError as error:
+        print(f"it was not written ({error}); babble report {folder.shown} does it later")
+
+
+def _report(folder: RunFolder, code: int, *, rollouts: bool) -> None:
+    """Write the report, which Ctrl-C leaves out. Raises `UserError`."""
+    with _left_out_by_ctrl_c(folder, code):
+        from services.launcher.report import write_report
+
+        report = write_report(folder.path, rollouts=rollouts)
         print(f"all files are in {folder.shown}; read {report.name} first")
+        _say_how_to_see_it(folder)
+
+
+@contextmanager
+def _left_out_by_ctrl_c(folder: RunFolder, code: int) -> Iterator[None]:
+    """Ctrl-C ends this process at once, without half-written files; afterwards it no longer does anything.
+
+    No KeyboardInterrupt, because libraries turn one that hits them while they are imported into errors and
+    tracebacks of their own.
+    """
+
+    def leave(*_: object) -> None:
+        sentence = f"\nthe report was not written; babble report {folder.shown} does it later\n"
+        with suppress(OSError):
+            for draft in folder.path.rglob(f".*.{os.getpid()}{DRAFT_SUFFIX}"):
+                draft.unlink()
+        with suppress(OSError):
+            os.write(sys.stdout.fileno(), sentence.encode())
+        os._exit(code or 128 + signal.SIGINT)
+
+    sys.stdout.flush()
+    signal.signal(signal.SIGINT, leave)
+    try:
+        yield
+    finally:
+        # All is said and done but the interpreter's own end, which would answer with a traceback.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _say_how_to_see_it(folder: RunFolder) -> None:
+    if folder.recorded():
+        print(f"see it again with: babble view {folder.shown}", flush=True)
 
 
 def _conclude(folder: RunFolder, outcome: Outcome) -> int:
@@ -110,18 +151,20 @@ def _conclude(folder: RunFolder, outcome: Outcome) -> int:
     folder.finish({"scores_secs": round(outcome.scores_secs, 2), "cpu_secs": _rounded(cpu_secs)})
     _print_scores(folder)
     print(f"\n{outcome.scores_secs:.1f} s from the start of the processes to the scores")
-    print("CPU seconds:", *cpu_table(cpu_secs), sep="\n", flush=True)
-    from services.launcher.report import write_report
-
-    report = write_report(folder.path)
-    print(f"\nall files are in {folder.shown}; read {report.name} first")
+    print("CPU seconds:", *cpu_table(cpu_secs), sep="\n")
+    print("\nwriting the report (Ctrl-C leaves it out)", flush=True)
+    _report(folder, outcome.code, rollouts=True)
     return outcome.code
 
 
 def _print_scores(folder: RunFolder) -> None:
-    print("\n".join(score_table(folder.scores())))
+    rows, best = folder.scores(), folder.best()
+    shown = brief(rows, best, MOST_ITERATIONS)
+    print("\n".join(score_table(shown)))
+    if len(shown) < len(rows):
+        print(f"{len(rows) - len(shown):,} older rows are in {folder.shown}/scores.jsonl")
     width = min(MOST_COLUMNS, shutil.get_terminal_size().columns)
-    for sentence in best_words(folder.best()):
+    for sentence in best_words(best):
         print(textwrap.fill(sentence, width, subsequent_indent="  "), flush=True)
 
 

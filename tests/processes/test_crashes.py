@@ -59,7 +59,7 @@ def test_everything_killed_at_a_random_moment_is_resumed_to_both_ends(
 ) -> None:
     moment = random.Random(seed)
     folder = tmp_path / "run"
-    arguments = ("-m", "services.launcher", "up")
+    arguments = ("-m", "services.launcher", "up", "--no-dashboard")
     first = owner.start("babble", *arguments, "cuboid", "--seed", str(seed), "--run-dir", str(folder))
     phase, further_events = moment.choice(PHASES), moment.randrange(4)
 

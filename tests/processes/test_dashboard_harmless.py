@@ -152,7 +152,7 @@ def test_whatever_happens_to_the_dashboard_the_others_do_not_notice(
     run.close()
     assert len(run.scores()) == 4
     assert lost_members(folder) <= {"dashboard"}
-    assert not [line for line in launcher.out if "again" in line and "dashboard" not in line]
+    assert not [line for line in launcher.out if "started again" in line and "dashboard" not in line]
     run.assert_nothing_lost_or_counted_twice()
     assert all(status.lost == 0 for status in run.statuses().values())
     assert end_secs(folder) - done_secs(folder) < FAREWELL_SECS, "the coordinator waited for the dashboard"

@@ -39,7 +39,8 @@ def best_of_all_seeds(owner: Owner, tmp_path: Path, scenario: str) -> list[dict[
     best = []
     for seed in SEEDS:
         folder = str(tmp_path / f"{scenario}-{seed}")
-        babble(owner, "up", scenario, "--actors", "2", "--seed", str(seed), "--run-dir", folder)
+        options = ("--actors", "2", "--seed", str(seed), "--run-dir", folder, "--no-dashboard")
+        babble(owner, "up", scenario, *options)
         rows = [json.loads(line) for line in babble(owner, "score", folder, "--best", "--json")]
         best.append(next(row for row in rows if row["policy"] == "mean"))
     return best

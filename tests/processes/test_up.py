@@ -13,6 +13,7 @@ import psutil
 import pytest
 
 from tests.processes.owned import Owner, Process, wait_for
+from tests.unit.analytic_run import good, write_run
 
 pytestmark = pytest.mark.processes
 
@@ -158,6 +159,9 @@ def test_a_run_survives_a_killed_actor_tells_its_status_and_dashboard_and_shows_
     }
     assert (folder / "report.md").stat().st_size > 0
     assert list((folder / "recording").glob("*.rrd")), "the dashboard recorded nothing"
+    assert run.out[-1] == f"see it again with: babble view {folder}"
+    assert not (folder / "dashboard").exists(), "it tells an address where nobody is"
+    assert not (folder / "endpoint").exists(), "it tells an address where nobody is"
     again = babble("up", "--resume", folder)
     assert again.ended(START_SECS) == 0
     assert "is completed already" in again.out[0]
@@ -218,6 +222,38 @@ def test_what_a_service_finds_wrong_is_told_and_ends_the_run(
         START_SECS,
     )
     assert "This run is unfinished" in (folder / "report.md").read_text()
+
+
+INTERRUPTED = """
+import os, signal, sys
+from pathlib import Path
+
+class Interrupter:
+    def find_spec(self, name, path=None, target=None):
+        if name == sys.argv[1]:
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Interrupter())
+from services.launcher.run_folder import RunFolder
+from services.launcher.up import _report_so_far
+_report_so_far(RunFolder.find(sys.argv[2]), 130)
+print("went on")
+"""
+
+
+@pytest.mark.parametrize(
+    "where",
+    ["numpy.random", "matplotlib", "matplotlib.ft2font", "matplotlib.backends.backend_agg", "pyarrow"],
+)
+def test_ctrl_c_during_the_report_is_one_sentence_wherever_it_hits(
+    owner: Owner, tmp_path: Path, where: str
+) -> None:
+    folder = write_run(tmp_path / "run", [good()])
+    process = owner.start_code("report", INTERRUPTED, where, str(folder))
+    assert process.ended(START_SECS) == 128 + signal.SIGINT, process.report()
+    assert process.err == []
+    assert process.out[-1] == f"the report was not written; babble report {folder} does it later"
+    assert not list(folder.rglob("*.draft"))
 
 
 def refused(process: Process, sentence: str, within_secs: float = START_SECS) -> None:

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -10,6 +11,7 @@ from services.launcher.cli import main
 from services.launcher.doctor import dashboard_finding, packages, requirements
 from services.launcher.status_command import status_lines
 from services.launcher.worlds_command import world_lines
+from tests.unit.analytic_run import write_run
 
 HEAVY = {"torch", "stable_baselines3", "onnx", "matplotlib", "mujoco", "rerun"}
 
@@ -109,9 +111,17 @@ def test_status_tells_phase_members_and_scores() -> None:
 
 
 def test_status_tells_what_was_heard_besides_and_where_the_dashboard_is() -> None:
-    told = {"run": "r", "phase": "babble", "evaluates": None, "iteration": 0, "iterations": 4, "term": 1}
+    told: dict[str, object] = {
+        "run": "r",
+        "phase": "babble",
+        "evaluates": None,
+        "iteration": 0,
+        "iterations": 4,
+        "term": 1,
+    }
     told |= {"waiting": "", "members": [{"life": "actor-1"}], "unlisted": 0, "scores": [], "best": []}
     events = [{"time": "2026-01-02T03:04:05.678+00:00", "text": "actor-1 (actor) joined"}]
+    events += [{"text": "no time"}, {"time": "yesterday", "text": "no time either"}]
     lines = status_lines(told, dashboard="http://127.0.0.1:9090", facts=["", "actor-1  0.3 s"], events=events)
     assert lines[:4] == [
         "run r: BABBLE, term 1",
@@ -120,3 +130,14 @@ def test_status_tells_what_was_heard_besides_and_where_the_dashboard_is() -> Non
         "actor-1  0.3 s",
     ]
     assert lines[-1].endswith(":04:05  actor-1 (actor) joined")
+
+
+def test_status_of_a_run_that_is_over_says_whether_to_go_on_or_what_to_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = write_run(tmp_path / "run", [])
+    assert main(["status", str(folder)]) == 2
+    assert f"go on with `babble up --resume {folder}`" in capsys.readouterr().err
+    (folder / "result.json").write_text('{"scores_secs": 1.5}')
+    assert main(["status", str(folder)]) == 2
+    assert f"is completed; read {folder}/report.md" in capsys.readouterr().err

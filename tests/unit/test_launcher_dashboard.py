@@ -87,3 +87,21 @@ def test_a_run_without_the_package_or_the_wish_has_no_dashboard(monkeypatch: pyt
     monkeypatch.setitem(sys.modules, "rerun", None)
     assert ports_for(Choice()) is None
     assert "babble doctor" in words(Choice(), None)
+
+
+def test_a_free_port_that_another_starting_run_holds_gives_way_to_another(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tried: list[int] = []
+    lock = Ports._lock
+
+    def held_at_first(self: Ports, port: int) -> None:
+        tried.append(port)
+        if len(tried) < 3:
+            raise OSError(98, "Address already in use")
+        lock(self, port)
+
+    monkeypatch.setattr(Ports, "_lock", held_at_first)
+    with Ports(Choice(web_port=0, grpc_port=0)) as ports:
+        assert ports.web == tried[2]
+        assert ports.grpc == tried[3]

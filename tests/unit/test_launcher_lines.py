@@ -5,7 +5,7 @@ import io
 import pytest
 
 from services.launcher.display import LiveDisplay, PlainDisplay, display_for
-from services.launcher.lines import clock_words, cpu_table, score_table
+from services.launcher.lines import brief, clock_words, cpu_table, score_table
 from tests.unit.launcher_picture import practising, row
 
 
@@ -82,3 +82,15 @@ def test_only_a_terminal_that_can_redraw_gets_the_live_view(
 ) -> None:
     monkeypatch.setenv("TERM", term)
     assert isinstance(display_for(out), kind)
+
+
+def test_of_long_runs_the_newest_iterations_of_each_block_and_the_kept_one_are_shown() -> None:
+    rows = [
+        row(i, policy, block=b) for i in range(200) for b in ("arm", "leg") for policy in ("mean", "sampled")
+    ]
+    shown = brief(rows, {"arm": {"iteration": 7}, "leg": {"iteration": 199}}, 3)
+    found = {(each["block"], each["iteration"]) for each in shown}
+    assert found == {("arm", i) for i in (7, 197, 198, 199)} | {("leg", i) for i in (197, 198, 199)}
+    assert len(shown) == 2 * len(found)
+    assert next(each["iteration"] for each in shown if each["block"] == "arm") == 7
+    assert brief(rows[:4], {}, 3) == rows[:4]

@@ -4,8 +4,9 @@ import pytest
 
 from protocol.messages import ALL_BLOCKS, Phase, PhaseAnnounced, Progress, Status
 from services.launcher.learning import goal_distance
-from services.launcher.members import Picture, Speed, Tally, phase_words
+from services.launcher.members import MOST_LAST_WORDS, Picture, Tally, phase_words
 from services.runtime.settings import GoalSettings
+from services.runtime.speed import Speed
 
 RUN = "cuboid-20260101-120000-0"
 
@@ -199,3 +200,27 @@ def test_what_the_launcher_deals_with_is_shown_for_a_while_and_remains_an_event(
     assert not seen.errors
     assert list(seen.news) == ["actor-1 was killed"]
     assert (5.0, "actor-1 was killed") in seen.events
+
+
+def test_a_member_that_was_forgotten_and_comes_back_counts_once() -> None:
+    seen = picture()
+    seen.hear_status(status("actor-1", lost=2), 1.0)
+    seen.vanished("actor-1", 5.0)
+    seen.settle(5.5)
+    seen.settle(20.0)
+    assert "actor-1" not in [member.life for member in seen.members()]
+    assert seen.tally() == Tally(lost=2)
+    seen.appeared("actor", "actor-1", 30.0)
+    seen.hear_status(status("actor-1", lost=3), 31.0)
+    assert seen.tally() == Tally(lost=3)
+
+
+def test_of_many_forgotten_members_nothing_is_left_out_of_the_sum() -> None:
+    seen = picture()
+    for number in range(MOST_LAST_WORDS + 5):
+        life = f"actor-x{number}"
+        seen.hear_status(status(life, lost=1), 1.0)
+        seen.vanished(life, 1.0)
+    seen.settle(2.0)
+    seen.settle(20.0)
+    assert seen.tally() == Tally(lost=MOST_LAST_WORDS + 5)

@@ -1,6 +1,9 @@
 """The run's folder: names, records, the lock, and folders that are none."""
 
+import fcntl
 import json
+import os
+import threading
 from datetime import datetime
 from pathlib import Path
 
@@ -113,3 +116,46 @@ def test_only_a_completed_run_has_a_result(folder: RunFolder) -> None:
     (folder.path / "result.json").write_text("{")
     with pytest.raises(RunFolderError, match=r"result\.json"):
         folder.result()
+
+
+def test_who_looks_whether_a_run_goes_on_is_in_nobodys_way(folder: RunFolder) -> None:
+    with folder.locked():
+        pass
+    looking = os.open(folder.path / "lock", os.O_RDONLY)
+    fcntl.flock(looking, fcntl.LOCK_SH)
+    assert not folder.in_use(), "somebody else only looks"
+    done = threading.Timer(0.05, os.close, [looking])
+    done.start()
+    with folder.locked():
+        assert folder.in_use()
+    done.join()
+
+
+def test_what_goes_wrong_while_a_folder_is_held_is_not_taken_for_another_launcher(folder: RunFolder) -> None:
+    with pytest.raises(BlockingIOError, match="the terminal"), folder.locked():
+        raise BlockingIOError("the terminal takes no more")
+
+
+def test_a_damaged_folder_does_not_hide_the_run_that_goes_on(folder: RunFolder) -> None:
+    for name, record in (("a", "{"), ("b", '{"run": "b"}')):
+        (folder.path.parent / name).mkdir()
+        (folder.path.parent / name / "run.json").write_text(record)
+    (folder.path.parent / "a" / "config.toml").write_text("")
+    with folder.locked():
+        assert [run.run for run in running()] == [folder.run]
+
+
+def test_the_addresses_go_when_nobody_is_there_any_more(folder: RunFolder) -> None:
+    folder.note_endpoint("tcp/127.0.0.1:7447")
+    folder.note_dashboard("http://127.0.0.1:9090")
+    assert (folder.endpoint(), folder.dashboard()) == ("tcp/127.0.0.1:7447", "http://127.0.0.1:9090")
+    folder.forget_addresses()
+    folder.forget_addresses()
+    assert folder.dashboard() == ""
+    with pytest.raises(RunFolderError, match="--connect"):
+        folder.endpoint()
+
+
+def test_damaged_milestones_are_left_out(folder: RunFolder) -> None:
+    (folder.path / "events.jsonl").write_text('{"text": "good"}\n3\nrubbish\n{"text": "half')
+    assert folder.events(5) == [{"text": "good"}]

@@ -203,3 +203,20 @@ def test_a_report_of_no_run_is_one_sentence(tmp_path: Path, capsys: pytest.Captu
     said = capsys.readouterr().err
     assert "is not the folder of a run" in said
     assert said.count("\n") == 1
+
+
+def test_texts_are_plain_so_that_every_reader_can_search_them(folder: Path) -> None:
+    schema = parquet.read_schema(write_scalars(folder, "run"))
+    texts = ("run", "phase", "block", "service", "name")
+    assert {str(schema.field(name).type) for name in texts} == {"string"}
+
+
+def test_a_damaged_time_or_number_stops_neither_table_nor_event_files(folder: Path) -> None:
+    pytest.importorskip("tensorboardX", reason="the extra tensorboard is not installed")
+    far = {"now_secs": 1e300, "term": 1, "metrics": {"body/encoder/loss": 1.0}}
+    huge = {"now_secs": 103.0, "term": 1, "metrics": {"body/encoder/loss": 1e300}}
+    with (folder / "metrics.jsonl").open("w") as file:
+        file.write(lines([far, *METRICS, huge]))
+    rows = [row for row in rows_of(write_scalars(folder, "run")) if row["name"] == "encoder/loss"]
+    assert [row["value"] for row in rows] == [4.5, 1e300]
+    assert list(write_events(folder).iterdir())
