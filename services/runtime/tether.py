@@ -1,4 +1,4 @@
-"""Becomes a process that dies with the one that started it: `python tether.py PARENT_ID NICE COMMAND...`.
+"""Becomes a process that dies with the one that started it: `python tether.py PARENT_ID COMMAND...`.
 
 On Linux the kernel is asked (PR_SET_PDEATHSIG, which survives exec) for a SIGKILL when the starting
 thread ends; so a process is started from a thread that outlives it, and whoever is killed leaves
@@ -18,31 +18,19 @@ from collections.abc import Sequence
 PR_SET_PDEATHSIG = 1
 
 
-def tethered(command: Sequence[str], nice: int = 0) -> list[str]:
+def tethered(command: Sequence[str]) -> list[str]:
     """The command line that runs `command` (by its full path) tied to the calling thread."""
-    return [sys.executable, "-I", "-S", __file__, str(os.getpid()), str(nice), *command]
+    return [sys.executable, "-I", "-S", __file__, str(os.getpid()), *command]
 
 
 def main(arguments: list[str]) -> int:
     """Replace this process by the command; 1 if the parent was gone before the kernel knew."""
-    parent, nice, command = int(arguments[0]), int(arguments[1]), arguments[2:]
+    parent, command = int(arguments[0]), arguments[1:]
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, ctypes.c_ulong(signal.SIGKILL))
         if os.getppid() != parent:
             return 1
-    if nice:
-        _step_back(nice)
     os.execv(command[0], command)
-
-
-def _step_back(nice: int) -> None:
-    """Leave cores to the others; where the kernel schedules sessions as groups, the group is told too."""
-    os.nice(nice)
-    try:
-        with open("/proc/self/autogroup", "w") as group:
-            group.write(str(nice))
-    except OSError:
-        pass
 
 
 if __name__ == "__main__":
