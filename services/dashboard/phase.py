@@ -11,6 +11,7 @@ from services.dashboard.canvas import Canvas, Due, colours, page
 from services.dashboard.colours import PHASE_COLOURS
 from services.dashboard.latent_book import LatentBook, label_order
 from services.dashboard.roster import Roster
+from services.runtime.phases import phase_words
 from services.runtime.speed import Speed
 
 SUMMARY_SECS = 1.0
@@ -166,20 +167,6 @@ def phase_states(iterations: int) -> dict[str, int]:
             for iteration in range(1, iterations + 1):
                 states[f"{phase} {iteration}"] = PHASE_COLOURS[phase]
     return states
-
-
-def phase_words(announced: PhaseAnnounced | None) -> str:
-    """The phase for a person: "PRACTISE 2 of 4", "EVALUATE after GROUND"."""
-    if announced is None:
-        return "Waiting for the coordinator"
-    if announced.phase is Phase.DONE:
-        return "DONE"
-    name = announced.phase.upper()
-    if announced.phase is Phase.EVALUATE and announced.evaluates is not None:
-        name += f" after {announced.evaluates.upper()}"
-    if announced.iteration > 0:
-        name += f" {announced.iteration} of {announced.iterations}"
-    return name + (f", level {announced.level}" if announced.level > 0 else "")
 
 
 def duration_words(secs: float) -> str:

@@ -21,12 +21,13 @@ from services.dashboard.latents import LatentsPanel
 from services.dashboard.learning import LearningPanel
 from services.dashboard.measures import MeasuresPanel
 from services.dashboard.pages import stream_origins
-from services.dashboard.phase import PhasePanel, phase_words
+from services.dashboard.phase import PhasePanel
 from services.dashboard.recording import Recording
 from services.dashboard.roster import News, Roster
 from services.dashboard.system import SystemPanel
 from services.dashboard.web_server import WebServer
 from services.runtime.bus import Frame, Inbox, Link, Membership
+from services.runtime.phases import phase_words
 from services.runtime.process import Context
 from services.runtime.status import Heart
 
@@ -71,20 +72,7 @@ class Dashboard:
             SystemPanel(self._roster),
         ]
         self._recording = _recording(context, options, self._body, panels)
-        self._web = WebServer(
-            options.bind,
-            options.web_port,
-            self._recording.grpc_port,
-            context.run,
-            context.life,
-            options.allow_origin,
-        )
-        try:
-            self._web.start()
-        except BaseException:
-            self._recording.close()
-            raise
-        log.info("the dashboard is at %s", self._web.url)
+        self._web = _serving(context, options, self._recording)
         self._heart = _heart(context)
         self._superseded = self._views_drawn = 0
         self._done_secs: float | None = None
@@ -242,6 +230,25 @@ def _recording(
         blueprint=blueprint_of(context.settings, body),
         panels=panels,
     )
+
+
+def _serving(context: Context, options: DashboardOptions, recording: Recording) -> WebServer:
+    """The page of the recording, which is closed where there can be none."""
+    web = WebServer(
+        options.bind,
+        options.web_port,
+        recording.grpc_port,
+        context.run,
+        context.life,
+        options.allow_origin,
+    )
+    try:
+        web.start()
+    except BaseException:
+        recording.close()
+        raise
+    log.info("the dashboard is at %s", web.url)
+    return web
 
 
 def _heart(context: Context) -> Heart:

@@ -14,8 +14,9 @@ from services.launcher.lines import (
     score_table,
     wrapped,
 )
-from services.launcher.members import BlockWork, Picture, phase_words
+from services.launcher.members import BlockWork, Picture
 from services.launcher.roster import roster
+from services.runtime.phases import phase_words
 
 MOST_ROWS = 8
 """Of the table of scores."""

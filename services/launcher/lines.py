@@ -5,7 +5,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from services.launcher.learning import learning_words
-from services.launcher.members import BlockWork, Picture, phase_words
+from services.launcher.members import BlockWork, Picture
+from services.runtime.phases import phase_words
 
 Line = tuple[tuple[str, str], ...]
 """Pieces of (text, style of rich); nothing is told by the style alone."""

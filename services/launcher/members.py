@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 from protocol.latest import LatestPhase
 from protocol.messages import Phase, PhaseAnnounced, Progress, Status
+from services.runtime.phases import phase_words
 from services.runtime.settings import GoalSettings
 from services.runtime.speed import Speed
 
@@ -251,13 +252,3 @@ class Picture:
         per_sec = self._speeds.setdefault(progress.block, Speed()).per_sec(now_secs)
         left = max(0, progress.wanted - progress.done)
         return BlockWork(progress=progress, left_secs=left / per_sec if per_sec else None)
-
-
-def phase_words(announced: PhaseAnnounced) -> str:
-    """The phase for a person: "PRACTISE 2 of 4", "EVALUATE after GROUND"."""
-    name = announced.phase.upper()
-    if announced.phase is Phase.EVALUATE and announced.evaluates is not None:
-        name += f" after {announced.evaluates.upper()}"
-    if announced.iteration > 0 and announced.phase is not Phase.DONE:
-        name += f" {announced.iteration} of {announced.iterations}"
-    return name + (f", level {announced.level}" if announced.level > 0 else "")

@@ -13,9 +13,10 @@ from services.dashboard.learning import LearningPanel, scores_table
 from services.dashboard.ledger import MOST_LIVES, Ledger
 from services.dashboard.measures import latent_entropy, usage_entropy, vertex_usage
 from services.dashboard.pens import grouped
-from services.dashboard.phase import duration_words, phase_states, phase_words
+from services.dashboard.phase import duration_words, phase_states
 from services.dashboard.roster import FORGET_SECS, MOST_ACTORS, RETURN_SECS, Roster
 from services.dashboard.system import members_table, troubles
+from services.runtime.phases import phase_words
 from tests.unit.dashboard_feed import RUN, announced, view_of
 
 LATENT = np.array([[0.7, 0.2, 0.1], [0.1, 0.1, 0.8]], np.float32)

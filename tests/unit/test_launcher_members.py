@@ -4,7 +4,8 @@ import pytest
 
 from protocol.messages import ALL_BLOCKS, Phase, PhaseAnnounced, Progress, Status
 from services.launcher.learning import goal_distance
-from services.launcher.members import MOST_LAST_WORDS, Picture, Tally, phase_words
+from services.launcher.members import MOST_LAST_WORDS, Picture, Tally
+from services.runtime.phases import phase_words
 from services.runtime.settings import GoalSettings
 from services.runtime.speed import Speed
 
