@@ -90,7 +90,8 @@ def start(name: str, folder: Path, *arguments: str, core: int | None = None) -> 
 
 def service(name: str, folder: Path, endpoint: str, *, index: int = 0, core: int | None = None) -> Child:
     """Start a service of the run in the folder."""
-    run = ["--run-dir", str(folder), "--connect", endpoint, "--index", str(index)]
+    run = ["--run-dir", str(folder), "--connect", endpoint]
+    run += ["--index", str(index)] if name == "actor" else []
     title = f"{name}-{index}" if name == "actor" else name
     return start(title, folder, "-m", f"services.{name}", *run, core=core)
 

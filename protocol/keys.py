@@ -3,7 +3,18 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from protocol.messages import Ack, Command, Message, Model, PhaseAnnounced, Reply, Segment, Status, View
+from protocol.messages import (
+    Ack,
+    Command,
+    Message,
+    Model,
+    PhaseAnnounced,
+    Reply,
+    Segment,
+    SettingsAnnounced,
+    Status,
+    View,
+)
 
 ROOT = "babble"
 SERVICES = (
@@ -43,6 +54,9 @@ DELIVERY: dict[str, Delivery] = {
     ),
     "model": Delivery(promise="latest-wins", priority="data-high", on_full="block", link="data", keep=64),
     "phase": Delivery(promise="latest-wins", priority="real-time", on_full="drop", link="control", keep=64),
+    "settings": Delivery(
+        promise="latest-wins", priority="data-high", on_full="drop", link="control", keep=64
+    ),
     "status": Delivery(
         promise="best-effort", priority="background", on_full="drop", link="control", keep=4096
     ),
@@ -71,6 +85,11 @@ def model(run: str, model_kind: str, block: str) -> str:
 def phase(run: str) -> str:
     """Key of the coordinator's announcements."""
     return f"{ROOT}/{run}/phase"
+
+
+def settings(run: str) -> str:
+    """Key of the run's settings; `*` for those of all runs."""
+    return f"{ROOT}/{run}/settings"
 
 
 def status(run: str, service: str, life: str) -> str:
@@ -104,6 +123,8 @@ def of(message: Message) -> str:
             return model(message.run, message.model, message.block)
         case PhaseAnnounced():
             return phase(message.run)
+        case SettingsAnnounced():
+            return settings(message.run)
         case Status():
             return status(message.run, message.service, message.life)
         case View():

@@ -31,6 +31,7 @@ ALL_BLOCKS = "all"
 MAX_ENTRIES = 256
 """The most entries of a list or map in a header; bounds memory, far above any real use."""
 MAX_REPLY_CHARS = 1 << 18
+MAX_CONFIG_CHARS = 1 << 20
 MAX_STEPS = 1 << 20
 """The most environment steps per column of a segment."""
 
@@ -183,6 +184,16 @@ class PhaseAnnounced(Header):
     """The blocks at work in this term."""
 
 
+class SettingsAnnounced(Header):
+    """The coordinator's word on what the whole run is made with, for actors that have only its name."""
+
+    kind: ClassVar[str] = "settings"
+    config: Annotated[str, StringConstraints(max_length=MAX_CONFIG_CHARS, pattern=r"^[ -~]*$")]
+    """All settings of the run, as the text of a JSON object in printable ASCII."""
+    began_ms: Count
+    """When the run began (Unix time); another number is another run of the same name."""
+
+
 class Score(Strict):
     """What an evaluation of one block found; the formulas are in babble/scores.py."""
 
@@ -282,7 +293,7 @@ class Reply(Header):
     text: Annotated[str, StringConstraints(max_length=MAX_REPLY_CHARS)] = ""
 
 
-Message = Segment | Ack | Model | PhaseAnnounced | Status | View | Command | Reply
+Message = Segment | Ack | Model | PhaseAnnounced | SettingsAnnounced | Status | View | Command | Reply
 MESSAGES: dict[str, type[Header]] = {
-    m.kind: m for m in (Segment, Ack, Model, PhaseAnnounced, Status, View, Command, Reply)
+    m.kind: m for m in (Segment, Ack, Model, PhaseAnnounced, SettingsAnnounced, Status, View, Command, Reply)
 }

@@ -5,6 +5,7 @@ A last line without its end was never acted upon, so it is dropped and overwritt
 anywhere else is an error for a person.
 """
 
+import fcntl
 import json
 import os
 from collections.abc import Iterable
@@ -45,14 +46,15 @@ class JournalError(UserError):
 class Journal:
     """An open journal file, positioned behind its last whole line.
 
-    `events` are those of earlier processes. Raises `JournalError` if the file is damaged or belongs to
-    another run or plan, and `StorageError` if the disk refuses.
+    `events` are those of earlier processes. Raises `JournalError` if the file is damaged, belongs to
+    another run or plan, or is held by another coordinator, and `StorageError` if the disk refuses.
     """
 
     def __init__(self, path: Path, run: str, plan: Plan) -> None:
         self._path = path
         try:
             self._file = path.open("ab+", buffering=0)
+            self._lock()
             self.events = self._open(run, plan)
         except OSError as error:
             refuse_storage(path, error)
@@ -70,6 +72,14 @@ class Journal:
     def close(self) -> None:
         """Close the file; idempotent."""
         self._file.close()
+
+    def _lock(self) -> None:
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise JournalError(
+                f"another coordinator is writing {self._path}; end that one first, or give this one another run"
+            ) from None
 
     def _open(self, run: str, plan: Plan) -> tuple[Event, ...]:
         self._file.seek(0)

@@ -19,7 +19,7 @@ from services.coordinator.report import describe, witnesses
 from services.coordinator.run_files import RunFiles
 from services.coordinator.state import State, awaited, present
 from services.coordinator.table import LEARNERS
-from services.coordinator.translate import announced, status_reported
+from services.coordinator.translate import announced, settings_announced, status_reported
 from services.coordinator.waiting import phase_name, waiting
 from services.coordinator.words import (
     Announce,
@@ -38,6 +38,7 @@ from services.coordinator.words import (
 )
 from services.runtime.bus import Frame, Inbox, Link, Membership, Question
 from services.runtime.process import Context
+from services.runtime.settings import announced_text
 from services.runtime.status import Heart
 
 log = logging.getLogger(__name__)
@@ -58,14 +59,15 @@ def build(context: Context) -> "CoordinatorService":
 class CoordinatorService:
     """Drives one run through its phases (see README.md).
 
-    Raises `SettingsError` for a tree of blocks without a plan, `JournalError` for a damaged journal
-    and `StorageError` when the disk refuses.
+    Raises `SettingsError` for a tree of blocks without a plan, or settings too long to be announced;
+    `JournalError` for a damaged journal, and `StorageError` when the disk refuses.
     """
 
     def __init__(self, context: Context) -> None:
         self._bus, self._run, self._life = context.bus, context.run, context.life
         self._settings = context.settings
         self._plan = plan_of(context.settings)
+        self._config = announced_text(context.settings)
         context.run_dir.mkdir(parents=True, exist_ok=True)
         self._journal = Journal(context.run_dir / "journal.jsonl", context.run, self._plan)
         self._state = replay(self._plan, self._journal.events)
@@ -99,6 +101,7 @@ class CoordinatorService:
         if not self._begun:
             self._begun = True
             self._decide(Started(now=now_secs))
+            self._announce_settings(now_secs)
         self._hear_link(now_secs)
         self._hear_control(now_secs)
         self._hear_statuses(now_secs)
@@ -212,6 +215,17 @@ class CoordinatorService:
                 self._files.note(now_secs, "end", what)
             case _:
                 assert_never(order)
+
+    def _announce_settings(self, now_secs: float) -> None:
+        earlier = self._journal.events
+        message = settings_announced(
+            self._config,
+            began_secs=earlier[0].now if earlier else now_secs,
+            run=self._run,
+            life=self._life,
+            term=self._state.term,
+        )
+        self._bus.publish("settings", keys.settings(self._run), encode(message))
 
     def _announce(self, order: Announce, now_secs: float) -> None:
         message = announced(order, plan=self._plan, run=self._run, life=self._life, seq=self._announcements)

@@ -7,8 +7,8 @@ from enum import StrEnum
 from services.coordinator.table import Phase
 from services.coordinator.words import BlockProgress, ScoreRow
 
-ONLOOKERS = frozenset({"dashboard"})
-"""Services that only watch a run: it goes on without them and waits for none of them."""
+ONLOOKERS = frozenset({"dashboard", "recorder", "router"})
+"""Services that only watch or carry a run: it goes on without them and waits for none of them."""
 
 
 @dataclass(frozen=True, kw_only=True)

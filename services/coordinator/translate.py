@@ -48,6 +48,21 @@ def announced(order: Announce, *, plan: Plan, run: str, life: str, seq: int) -> 
     )
 
 
+def settings_announced(
+    config: str, *, began_secs: float, run: str, life: str, term: int
+) -> messages.SettingsAnnounced:
+    """The message that tells the run's settings; `began_secs` is when its first coordinator began."""
+    return messages.SettingsAnnounced(
+        run=run,
+        term=term,
+        block=messages.ALL_BLOCKS,
+        life=life,
+        seq=0,
+        config=config,
+        began_ms=round(1000 * began_secs),
+    )
+
+
 def _row(score: messages.Score) -> ScoreRow:
     by_vertex = score.external_reward_by_vertex
     return ScoreRow(

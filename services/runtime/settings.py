@@ -4,13 +4,14 @@ A scenario states what differs from the defaults here; the run folder's `config.
 whole. Defaults come from the prototype's measurements and are argued in docs/operating.md.
 """
 
+import json
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from protocol.messages import ALL_BLOCKS, MAX_STEPS, Name
+from protocol.messages import ALL_BLOCKS, MAX_CONFIG_CHARS, MAX_STEPS, Name
 from services.runtime.errors import UserError
 
 Positive = Annotated[int, Field(ge=1)]
@@ -284,3 +285,37 @@ def parse(table: dict[str, Any], *, origin: str) -> RunSettings:
             else f"{fault['msg'].lower()}, got {fault['input']!r}"
         )
         raise SettingsError(f"{origin}: {place}: {what}") from None
+
+
+def announced_text(settings: RunSettings) -> str:
+    """The settings as a coordinator announces them: a JSON object with all keys.
+
+    Raises `SettingsError` if that is longer than may travel.
+    """
+    text = json.dumps(settings.model_dump(mode="json"), separators=(",", ":"))
+    if len(text) > MAX_CONFIG_CHARS:
+        raise SettingsError(
+            f"the settings of {settings.scenario} are {len(text):,} characters long, and actors can be told "
+            f"{MAX_CONFIG_CHARS:,}; shorten the lists of what blocks observe and drive"
+        )
+    return text
+
+
+def parse_announced(text: str, *, origin: str) -> RunSettings:
+    """The settings of a coordinator's announcement. Raises `SettingsError`, naming `origin` and the key.
+
+    The coordinator has checked them, so what does not hold here is of another version of Babble. A key that
+    is missing has its default: new ones keep the old meaning.
+    """
+    try:
+        table = json.loads(text)
+        if not isinstance(table, dict):
+            raise ValueError("not an object")
+        return parse(table, origin=origin)
+    except SettingsError as error:
+        fault = str(error)
+    except (ValueError, RecursionError) as error:
+        fault = f"{origin} are no JSON object ({error})"
+    raise SettingsError(
+        f"{fault}; the coordinator's side has another version of babble, install the same one on both"
+    )

@@ -105,7 +105,8 @@ class DistributedRun(WatchedRun):
         """Start a service; actors are named actor-0, actor-1..."""
         service, _, index = name.partition("-")
         arguments = ["--run-dir", str(self.run_dir), "--connect", self.router.endpoint]
-        process = self._owner.start_service(service, *arguments, "--index", index or "0")
+        numbered = ["--index", index] if index else []
+        process = self._owner.start_service(service, *arguments, *numbered)
         self.running[name] = process
         return process
 

@@ -1,5 +1,6 @@
 """Hypothesis strategies for every message."""
 
+import string
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from protocol.messages import (
     Reply,
     Score,
     Segment,
+    SettingsAnnounced,
     Status,
     View,
 )
@@ -100,6 +102,9 @@ announcements = st.builds(
     evaluates=st.none() | phases,
     blocks=st.dictionaries(names, floors, max_size=3),
 )
+settings = st.builds(
+    SettingsAnnounced, **header, config=st.text(string.printable[:95], max_size=100), began_ms=counts
+)
 progresses = st.builds(
     Progress,
     block=names,
@@ -166,6 +171,7 @@ messages: dict[str, st.SearchStrategy[Message]] = {
     "ack": acks,
     "model": models,
     "phase": announcements,
+    "settings": settings,
     "status": statuses,
     "view": views(),
     "command": commands,

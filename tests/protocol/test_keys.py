@@ -21,6 +21,7 @@ def test_every_kind_that_is_sent_by_itself_has_a_delivery():
         ("ack", "babble/cuboid-1/ack/actor-7f3a/policy_learner"),
         ("model", "babble/cuboid-1/model/encoder/body"),
         ("phase", "babble/cuboid-1/phase"),
+        ("settings", "babble/cuboid-1/settings"),
         ("status", "babble/cuboid-1/status/policy_learner/policy-0c11"),
         ("view", "babble/cuboid-1/view/latent/actor-7f3a"),
         ("command", "babble/cuboid-1/command/*"),

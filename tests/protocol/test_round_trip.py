@@ -8,7 +8,16 @@ from hypothesis import strategies as st
 from protocol import keys
 from protocol.codec import decode, encode
 from protocol.gate import Gate
-from protocol.messages import MAX_REPLY_CHARS, MESSAGES, Progress, Reply, Score, Status, WithArrays
+from protocol.messages import (
+    MAX_CONFIG_CHARS,
+    MAX_REPLY_CHARS,
+    MESSAGES,
+    Progress,
+    Reply,
+    Score,
+    Status,
+    WithArrays,
+)
 from tests.protocol.golden.make import GOLDEN, header, path
 from tests.protocol.strategies import messages, progresses, scores
 
@@ -72,7 +81,7 @@ def test_nested_messages_come_back_as_themselves(progress, score):
     assert back == status
 
 
-def test_the_fullest_status_and_the_longest_reply_travel():
+def test_the_fullest_status_the_longest_reply_and_the_longest_settings_travel():
     status = GOLDEN["status"]
     full = status.model_copy(
         update={
@@ -87,6 +96,8 @@ def test_the_fullest_status_and_the_longest_reply_travel():
     assert decode(encode(full)) == full
     reply = Reply(**header(), id="q", ok=True, text="\U0001f40c" * MAX_REPLY_CHARS)
     assert decode(encode(reply)) == reply
+    settings = GOLDEN["settings"].model_copy(update={"config": "~" * MAX_CONFIG_CHARS})
+    assert decode(encode(settings)) == settings
 
 
 def test_a_default_does_not_travel_but_is_there_on_arrival():

@@ -80,6 +80,7 @@ def test_every_key_is_there():
         "ack": keys.ack("<run>", "<to>", "<consumer>"),
         "model": keys.model("<run>", "<model>", "<block>"),
         "phase": keys.phase("<run>"),
+        "settings": keys.settings("<run>"),
         "status": keys.status("<run>", "<service>", "<life>"),
         "view": keys.view("<run>", "<view>", "<life>"),
         "command": keys.command("<run>", "<service>"),
@@ -140,6 +141,7 @@ def test_limits_and_lists_are_those_of_the_code():
     assert f"at most {arrays.MAX_DIMENSIONS} sizes" in flat
     assert f"at most {arrays.MAX_ARRAYS} arrays" in flat
     assert f"text of at most {messages.MAX_REPLY_CHARS:,} characters" in flat
+    assert f"text of at most {messages.MAX_CONFIG_CHARS:,} characters" in flat
     assert codec.MAX_TEXT_BYTES == 1 << 20
     assert "a text at most 1 MiB" in flat
     for dtype in arrays.DTYPES:

@@ -7,7 +7,17 @@ from typing import Any
 
 from protocol import keys
 from protocol.codec import decode, encode
-from protocol.messages import ALL_BLOCKS, Command, Phase, PhaseAnnounced, Progress, Reply, Score, Status
+from protocol.messages import (
+    ALL_BLOCKS,
+    Command,
+    Phase,
+    PhaseAnnounced,
+    Progress,
+    Reply,
+    Score,
+    SettingsAnnounced,
+    Status,
+)
 from services.coordinator.service import CoordinatorService, build
 from services.runtime.bus import Frame, Inbox, Wakeup
 from services.runtime.clock import HandClock
@@ -92,6 +102,14 @@ class Stage:
 
     def said(self) -> list[Status]:
         return [message for message in map(_message, self.statuses.take_all()) if isinstance(message, Status)]
+
+    def told_settings(self, life: str) -> SettingsAnnounced:
+        """What somebody hears who comes now and knows only the run's name."""
+        inbox = Inbox()
+        self.hub.connect(life).subscribe("settings", keys.settings(RUN), inbox)
+        (told,) = map(_message, inbox.take_all())
+        assert isinstance(told, SettingsAnnounced)
+        return told
 
     def progress(self, done: int, term: int, **fields: Any) -> None:
         """The encoder learner's word on block "body"."""

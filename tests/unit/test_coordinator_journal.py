@@ -223,3 +223,12 @@ def test_a_recorded_journal_leads_where_it_led(path: Path, tmp_path: Path) -> No
     kept = {block: best_of(state, block) for level in plan.levels for block in level}
     assert {block: best.iteration for block, best in kept.items() if best} == expected["best"]
     assert state == replay(plan, journal.events)
+
+
+def test_a_second_coordinator_is_refused_until_the_first_has_ended(tmp_path: Path) -> None:
+    path = tmp_path / "journal.jsonl"
+    first = Journal(path, "r", PLAN)
+    with pytest.raises(JournalError, match="another coordinator is writing"):
+        Journal(path, "r", PLAN)
+    first.close()
+    Journal(path, "r", PLAN).close()

@@ -23,6 +23,7 @@ from protocol.messages import (
     Reply,
     Score,
     Segment,
+    SettingsAnnounced,
     Status,
     View,
 )
@@ -150,6 +151,11 @@ GOLDEN: dict[str, Message] = {
         iterations=4,
         evaluates=Phase.PRACTISE,
         blocks={"body": ModelFloor(encoder=2, policy=9), "hand": ModelFloor()},
+    ),
+    "settings": SettingsAnnounced(
+        **header(block="all", life="coordinator-1"),
+        config='{"scenario": "cuboid", "seed": 1, "world": {"id": "Cuboid", "parameters": {}}}',
+        began_ms=1_795_384_800_000,
     ),
     "status": Status(
         **header(block="all", life="policy-0c11"),
