@@ -78,7 +78,7 @@ class Journal:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise JournalError(
-                f"another coordinator is writing {self._path}; end that one first, or give this one another run"
+                f"another coordinator is writing {self._path}; end that one, or give this one another run"
             ) from None
 
     def _open(self, run: str, plan: Plan) -> tuple[Event, ...]:

@@ -10,8 +10,9 @@ from services.runtime.process import guarded, log_to_stderr, new_life
 def main() -> int:
     """Run the router; returns the exit code."""
     config = parse()
-    log_to_stderr(new_life("router"))
-    return guarded("router", lambda: serve(config))
+    life = new_life("router")
+    log_to_stderr(life)
+    return guarded("router", lambda: serve(config, life))
 
 
 if __name__ == "__main__":

@@ -1,27 +1,48 @@
 """One process's health and progress, published each interval and at once when something changed."""
 
+import json
+import logging
 import os
 import resource
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from time import process_time
-from typing import Any
+from typing import Any, Protocol
 
 from protocol import keys
 from protocol.codec import encode
 from protocol.messages import ALL_BLOCKS, Phase, Status
 from protocol.refusal import Reason
-from services.runtime.bus import Bus
+from services.runtime.health import VARIABLE
+
+log = logging.getLogger(__name__)
 
 LONGEST_TEXT = 2000
+HEALTH_SECS = 1.0
+"""The health file is written so often at most."""
+
+
+class Voice(Protocol):
+    """What a heart asks of a bus."""
+
+    def publish(self, kind: str, key: str, frame: bytes) -> None:
+        """See `Bus.publish`."""
+        ...
+
+    def linked(self) -> bool:
+        """See `Bus.linked`."""
+        ...
 
 
 class Heart:
-    """Publishes the `Status` of a process; it also keeps the totals and refusals that a service gives it."""
+    """Publishes the `Status` of a process; it also keeps the totals and refusals that a service gives it.
+
+    Where the environment has `BABBLE_HEALTH=FILE` it keeps there what `health.py` tells.
+    """
 
     def __init__(
         self,
-        bus: Bus,
+        bus: Voice,
         *,
         run: str,
         service: str,
@@ -43,6 +64,8 @@ class Heart:
         self._seq = 0
         self._published_secs = float("-inf")
         self._urgent = False
+        path = os.environ.get(VARIABLE)
+        self._health = _HealthFile(Path(path), interval_secs) if path else None
 
     def enter(self, term: int, phase: Phase | None) -> None:
         """A new term: said at once."""
@@ -71,7 +94,10 @@ class Heart:
         if now_secs < due_secs and not (urgent or self._urgent):
             return due_secs - now_secs
         self._published_secs, self._urgent = now_secs, False
-        self._bus.publish("status", self._key, encode(self._status(dict(build()))))
+        status = self._status(dict(build()))
+        self._bus.publish("status", self._key, encode(status))
+        if self._health is not None:
+            self._health.note(status, linked=self._bus.linked())
         return self._interval_secs
 
     def _status(self, fields: dict[str, Any]) -> Status:
@@ -85,13 +111,50 @@ class Heart:
         return Status.model_validate(fields)
 
 
+class _HealthFile:
+    """What was published last, for `health.py`; a disk that refuses is told once and harms nothing."""
+
+    def __init__(self, path: Path, interval_secs: float) -> None:
+        self._path = path
+        # Several processes may be given one file, and each writes it whole.
+        self._draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
+        self._interval_secs = interval_secs
+        self._written_secs = float("-inf")
+        self._unlinked_secs: float | None = None
+        self._refused = False
+
+    def note(self, status: Status, *, linked: bool) -> None:
+        """Write it, if it is time. Times are the machine's monotonic clock, which no other process sets."""
+        now_secs = time.monotonic()
+        self._unlinked_secs = None if linked else self._unlinked_secs or now_secs
+        if now_secs < self._written_secs + HEALTH_SECS:
+            return
+        self._written_secs = now_secs
+        record = status.model_dump(
+            mode="json", include={"run", "service", "life", "phase", "waiting_for", "last_error"}
+        )
+        times = {"published_secs": now_secs, "unlinked_secs": self._unlinked_secs}
+        record |= {**times, "interval_secs": self._interval_secs}
+        try:
+            self._draft.write_text(json.dumps(record), encoding="utf-8")
+            self._draft.replace(self._path)
+        except OSError as error:
+            if not self._refused:
+                log.warning(
+                    "cannot write %s (%s), so that nobody can tell from it whether this process is well",
+                    self._path,
+                    error.strerror,
+                )
+            self._refused = True
+
+
 def process_metrics() -> dict[str, float]:
     """This process's CPU seconds and resident memory in MB (10^6 bytes; the peak where there is no /proc)."""
     try:
         resident_bytes = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
     except OSError:
         resident_bytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return {"cpu_secs": process_time(), "rss_mb": resident_bytes / 1e6}
+    return {"cpu_secs": time.process_time(), "rss_mb": resident_bytes / 1e6}
 
 
 def _sum(one: Mapping[str, int], other: Mapping[str, int]) -> dict[str, int]:

@@ -1,9 +1,7 @@
 """The bus between processes: Eclipse Zenoh 1.10, as clients of one router. The only file that imports zenoh.
 
 Each process has two connections, so that a phase, an acknowledgement or a status never waits behind
-experience or models (`DELIVERY.link`). The settings are those that measurements showed to matter:
-a lease of 1 s, no multicast, no gossip, no shared memory, a stated size limit; in the router 16
-receiving threads, and a stuck client is cut off after 400 ms, well before a healthy client's lease ends.
+experience or models (`DELIVERY.link`). How Zenoh is configured, and why, is in `transport.py`.
 """
 
 import json
@@ -11,52 +9,32 @@ import logging
 import os
 import threading
 import time
-import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import zenoh
 import zenoh.ext
 
-from protocol.keys import DELIVERY, MAX_FRAME_BYTES, Delivery
+from protocol.keys import DELIVERY, Delivery
+from services.runtime import transport
 from services.runtime.bus import Frame, Inbox, Link, Membership, Question, Wakeup, refuse_oversized
+from services.runtime.closing import close_with_main_thread
+from services.runtime.credentials import Credential
+from services.runtime.diagnosis import ShortVisits, diagnose, let_in, turned_away
 from services.runtime.errors import BusError
 
 log = logging.getLogger(__name__)
 
-LEASE_MS = 1000
-"""A process that is silent for so long is gone to the others; each side announces its own."""
-CUT_OFF_US = 400_000
-"""Router only; must be shorter than the lease, or a stuck subscriber costs its publishers their links."""
-ENVELOPE_BYTES = 64 << 10
-"""Room for key and header, so that a frame of exactly MAX_FRAME_BYTES is not silently dropped."""
-ROUTER_THREADS = (
-    "(rx: (worker_threads: 16), net: (worker_threads: 4), tx: (worker_threads: 8), acc: (worker_threads: 4))"
-)
-RETRY = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 1.5}
 HEARTBEAT_SECS = 0.5
 """A subscriber that missed the newest model or phase notices within this time."""
 ATTEMPT_SECS = 1.0
 """One attempt to connect; a signal is heard between attempts."""
+DOOR_SECS = 1.0
 CLOSE_SECS = 3.0
 ROUTER_CLOSE_SECS = 0.5
 MAX_PUBLISHERS = 512
 """Declared publishers that are kept for reuse; the oldest that retains nothing goes first."""
-
-PRIORITIES = {
-    "real-time": zenoh.Priority.REAL_TIME,
-    "interactive-high": zenoh.Priority.INTERACTIVE_HIGH,
-    "data-high": zenoh.Priority.DATA_HIGH,
-    "data": zenoh.Priority.DATA,
-    "data-low": zenoh.Priority.DATA_LOW,
-    "background": zenoh.Priority.BACKGROUND,
-}
-CONGESTION = {"block": zenoh.CongestionControl.BLOCK, "drop": zenoh.CongestionControl.DROP}
-
-
-_open_buses: weakref.WeakSet["ZenohBus"] = weakref.WeakSet()
-_guard_lock = threading.Lock()
-_guard: threading.Thread | None = None
 
 
 class _Undeclarable(Protocol):
@@ -70,25 +48,39 @@ class ZenohBus:
     second everything declared here is declared there, and retained frames are exchanged.
     """
 
-    def __init__(self, endpoint: str, life: str, wakeup: Wakeup, connect_secs: float) -> None:
-        """Connects. Raises `BusError` if no router answers within `connect_secs`."""
+    def __init__(
+        self,
+        endpoint: str,
+        life: str,
+        wakeup: Wakeup,
+        connect_secs: float,
+        credential: Credential | None = None,
+    ) -> None:
+        """Connects; a credential is for a tls/ endpoint.
+
+        Raises `BusError` with the cause if no router lets it in within about `connect_secs`.
+        """
         self._life = life
         self._wakeup = wakeup
         self._lock = threading.Lock()
         self._closed = False
         self._up = {"control": False, "data": False}
+        self._visits = ShortVisits()
+        self._turned_away = turned_away(endpoint, credential) if credential is not None else ""
         self._link_inboxes: list[Inbox] = []
         self._publishers: dict[str, tuple[str, Any]] = {}
         self._declared: list[_Undeclarable] = []
         self._sessions: dict[str, zenoh.Session] = {}
         deadline = time.monotonic() + connect_secs
-        _close_with_main_thread(self)
+        close_with_main_thread(self)
         try:
             for link in self._up:
-                session = _connect(endpoint, deadline, connect_secs)
+                session = _connect(endpoint, credential, deadline, connect_secs)
                 self._sessions[link] = session
                 self._up[link] = True
                 self._declared.append(_watch_transports(session, self._link_hearer(link)))
+            if credential is not None and not let_in(self._ask_at_door, self.linked):
+                raise BusError(self._turned_away)
         except BaseException:
             self.close()
             raise
@@ -128,12 +120,7 @@ class ZenohBus:
 
     def watch(self, key_expr: str, inbox: Inbox) -> None:
         """See `Bus.watch`. When this process's own link goes, all tokens are reported gone."""
-
-        def hear(sample: zenoh.Sample) -> None:
-            inbox.put(Membership(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
-
-        liveliness = self._session("control").liveliness()
-        self._declared.append(liveliness.declare_subscriber(key_expr, hear, history=True))
+        self._declared.append(_watch_tokens(self._session("control"), key_expr, inbox))
 
     def watch_link(self, inbox: Inbox) -> None:
         """See `Bus.watch_link`; up means that both connections are."""
@@ -166,8 +153,7 @@ class ZenohBus:
             key,
             payload=frame,
             timeout=timeout_secs,
-            priority=PRIORITIES[DELIVERY["command"].priority],
-            congestion_control=CONGESTION[DELIVERY["command"].on_full],
+            **_quality(DELIVERY["command"]),
         )
         for reply in replies:
             if reply.ok is not None:
@@ -197,6 +183,10 @@ class ZenohBus:
         for session in self._sessions.values():
             session.close()  # type: ignore[no-untyped-call]
 
+    def _ask_at_door(self) -> bool:
+        replies = self._sessions["control"].get(transport.DOOR, timeout=DOOR_SECS)
+        return any(reply.ok is not None for reply in replies)
+
     def _session(self, link: str) -> zenoh.Session:
         if self._closed:
             raise BusError(f"the connection of {self._life} is closed and can no longer be used")
@@ -206,8 +196,11 @@ class ZenohBus:
         if len(self._publishers) >= MAX_PUBLISHERS:
             self._forget_oldest_publisher()
         row = DELIVERY[kind]
-        declare = _latest_publisher if row.promise == "latest-wins" else _plain_publisher
-        self._publishers[key] = (kind, declare(self._session(row.link), key, row))
+        session = self._session(row.link)
+        if row.promise == "latest-wins":
+            self._publishers[key] = (kind, _latest_publisher(session, key, row))
+        else:
+            self._publishers[key] = (kind, session.declare_publisher(key, **_quality(row)))
         return self._publishers[key]
 
     def _forget_oldest_publisher(self) -> None:
@@ -227,9 +220,22 @@ class ZenohBus:
                     return
                 for inbox in self._link_inboxes:
                     inbox.put(Link(after))
+                cut_short = self._visits.note(after, time.monotonic())
+            if cut_short and self._turned_away:
+                log.warning(self._turned_away)
             self._wakeup.ring()
 
         return hear
+
+
+@dataclass(frozen=True)
+class RouterLink:
+    """One client's connection, as the router sees it; a process has two."""
+
+    identity: str | None
+    """the common name of the client's certificate; None on plain TCP"""
+    host: str
+    port: int
 
 
 class Router:
@@ -237,108 +243,150 @@ class Router:
 
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
+        self._closed = False
+        self._declared: list[_Undeclarable] = []
+
+    def links(self) -> list[RouterLink]:
+        """The connections of all clients now."""
+        found = []
+        for link in self._session.info.links():
+            address = transport.parse_address(link.dst)
+            found.append(RouterLink(link.auth_identifier, address.host, address.port))
+        return found
+
+    def hear(self, key_expr: str, inbox: Inbox) -> None:
+        """Put each `Frame` that clients may publish on matching keys into the inbox.
+
+        It is put there by the thread that routes it, so that nothing piles up on the way.
+        """
+
+        def hear(sample: zenoh.Sample) -> None:
+            inbox.put(Frame(str(sample.key_expr), sample.payload.to_bytes()))
+
+        callback = zenoh.handlers.Callback(hear, indirect=False)
+        self._declared.append(self._session.declare_subscriber(key_expr, callback))
+
+    def watch(self, key_expr: str, inbox: Inbox) -> None:
+        """Put a `Membership` into the inbox for each token present now, and for each change."""
+        self._declared.append(_watch_tokens(self._session, key_expr, inbox))
+
+    def publish(self, kind: str, key: str, frame: bytes) -> None:
+        """Send a frame of a kind that is not retained, such as the router's own status.
+
+        Raises `Refused` for an oversized frame, `BusError` once closed.
+        """
+        refuse_oversized(key, frame)
+        try:
+            self._session.put(key, frame, **_quality(DELIVERY[kind]))
+        except zenoh.ZError as error:
+            raise BusError(f"the router could not publish on {key}: {error}") from None
+
+    def linked(self) -> bool:
+        """True until it is closed; a router needs no other to hear its clients."""
+        return not self._closed
+
+    def open_door(self) -> None:
+        """Answer whoever may ask at the `transport.DOOR`, so that others can tell that they may not."""
+        callback = zenoh.handlers.Callback(_welcome, indirect=False)
+        self._declared.append(self._session.declare_queryable(transport.DOOR, callback, complete=True))
 
     def close(self) -> None:
         """Leave all clients, without waiting for a stuck one longer than ROUTER_CLOSE_SECS."""
+        self._closed = True
         closer = threading.Thread(target=self._session.close, name="router-close", daemon=True)
         closer.start()
         closer.join(ROUTER_CLOSE_SECS)
 
 
-def _close_with_main_thread(bus: ZenohBus) -> None:
-    """Close a forgotten bus when the main thread ends, or zenoh's threads keep the process for ever."""
-    global _guard
-    with _guard_lock:
-        _open_buses.add(bus)
-        if _guard is None:
-            _guard = threading.Thread(target=_close_forgotten, name="bus-guard")
-            _guard.start()
+def _welcome(query: zenoh.Query) -> None:
+    with query:
+        query.reply(transport.DOOR, b"")
 
 
-def _close_forgotten() -> None:
-    threading.main_thread().join()
-    for bus in list(_open_buses):
-        bus.close()
-
-
-def open_router(endpoint: str) -> Router:
+def open_router(
+    endpoint: str, *, credential: Credential | None = None, access: Mapping[str, object] | None = None
+) -> Router:
     """Listen at `endpoint` as a router. Call it before anything else of zenoh in this process.
 
+    With a credential it lets in only who shows one of the same authority; `access` is Zenoh's
+    configuration of who may do what (default: everybody everything).
     Raises `BusError` if the address is taken or is no address.
     """
-    os.environ["ZENOH_RUNTIME"] = ROUTER_THREADS
-    config = _config("router", listen=[endpoint])
-    _set(config, "adminspace/enabled", True)
-    _set(config, "transport/link/tx/queue/congestion_control/block/wait_before_close", CUT_OFF_US)
+    os.environ["ZENOH_RUNTIME"] = transport.ROUTER_THREADS
+    settings = transport.router_settings(endpoint, credential, access)
     try:
-        return Router(zenoh.open(config))
+        router = Router(zenoh.open(_configured(settings)))
     except zenoh.ZError as error:
         raise BusError(
             f"cannot listen at {endpoint} ({_reason(error)}); "
             "end the process that has this address, or choose another with --listen tcp/<address>:<port>"
         ) from None
+    router.open_door()
+    return router
 
 
-def _connect(endpoint: str, deadline: float, connect_secs: float) -> zenoh.Session:
-    config = _config("client", connect=[endpoint])
-    _set(config, "connect/retry", RETRY)
-    while (left_secs := deadline - time.monotonic()) > 0:
-        _set(config, "connect/timeout_ms", max(1, round(1000 * min(ATTEMPT_SECS, left_secs))))
+def _connect(
+    endpoint: str, credential: Credential | None, deadline: float, connect_secs: float
+) -> zenoh.Session:
+    settings = transport.client_settings(endpoint, credential)
+    told = False
+    while True:
+        left_secs = deadline - time.monotonic()
+        settings["connect/timeout_ms"] = max(1, round(1000 * min(ATTEMPT_SECS, left_secs)))
         try:
-            return zenoh.open(config)
+            return zenoh.open(_configured(settings))
         except zenoh.ZError as error:
             log.debug("no router yet at %s: %s", endpoint, error)
-            time.sleep(min(0.05, left_secs))
-    raise BusError(
-        f"no router answered at {endpoint} within {connect_secs:.0f} s; "
-        "start one with `python -m services.router` or check the address"
-    )
+        late = left_secs <= ATTEMPT_SECS
+        if late or not told:
+            found, told = diagnose(endpoint, credential), True
+            if found.lasting:
+                raise BusError(f"cannot connect to {endpoint}: {found.cause}")
+            if late:
+                raise BusError(f"no router answered at {endpoint} within {connect_secs:.0f} s: {found.cause}")
+            log.info("waiting for the router at %s: %s", endpoint, found.cause)
+        time.sleep(0.05)
 
 
-def _config(mode: str, *, listen: Sequence[str] = (), connect: Sequence[str] = ()) -> zenoh.Config:
+def _configured(settings: transport.Settings) -> zenoh.Config:
     config = zenoh.Config()
-    _set(config, "mode", mode)
-    try:
-        _set(config, "listen/endpoints", [*listen])
-        _set(config, "connect/endpoints", [*connect])
-    except zenoh.ZError:
-        wrong = " ".join([*listen, *connect])
-        raise BusError(f"{wrong!r} is not an address; it must look like tcp/127.0.0.1:7447") from None
-    _set(config, "scouting/multicast/enabled", False)
-    _set(config, "scouting/gossip/enabled", False)
-    _set(config, "transport/shared_memory/enabled", False)
-    _set(config, "transport/link/tx/lease", LEASE_MS)
-    _set(config, "transport/link/rx/max_message_size", MAX_FRAME_BYTES + ENVELOPE_BYTES)
+    for path, value in settings.items():
+        config.insert_json5(path, json.dumps(value))
     return config
 
 
-def _set(config: zenoh.Config, path: str, value: object) -> None:
-    config.insert_json5(path, json.dumps(value))
-
-
-def _plain_publisher(session: zenoh.Session, key: str, row: Delivery) -> zenoh.Publisher:
-    return session.declare_publisher(
-        key, congestion_control=CONGESTION[row.on_full], priority=PRIORITIES[row.priority]
-    )
+def _quality(row: Delivery) -> dict[str, Any]:
+    """What a put, a question or a publisher of this kind is told of priority and congestion."""
+    priority = getattr(zenoh.Priority, row.priority.replace("-", "_").upper())
+    return {
+        "priority": priority,
+        "congestion_control": getattr(zenoh.CongestionControl, row.on_full.upper()),
+    }
 
 
 def _latest_publisher(session: zenoh.Session, key: str, row: Delivery) -> zenoh.ext.AdvancedPublisher:
-    congestion, priority = CONGESTION[row.on_full], PRIORITIES[row.priority]
+    quality = _quality(row)
     return zenoh.ext.declare_advanced_publisher(
         session,
         key,
-        congestion_control=congestion,
-        priority=priority,
+        **quality,
         express=row.priority == "real-time",
         cache=zenoh.ext.CacheConfig(
             max_samples=1,
-            replies_config=zenoh.ext.RepliesConfig(congestion_control=congestion, priority=priority),
+            replies_config=zenoh.ext.RepliesConfig(**quality),
         ),
         sample_miss_detection=zenoh.ext.MissDetectionConfig(
             heartbeat=HEARTBEAT_SECS, sporadic_heartbeat=None
         ),
         publisher_detection=True,
     )
+
+
+def _watch_tokens(session: zenoh.Session, key_expr: str, inbox: Inbox) -> _Undeclarable:
+    def hear(sample: zenoh.Sample) -> None:
+        inbox.put(Membership(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
+
+    return session.liveliness().declare_subscriber(key_expr, hear, history=True)
 
 
 def _watch_transports(session: zenoh.Session, hear: Callable[[bool], None]) -> _Undeclarable:

@@ -2,12 +2,16 @@
 
 import signal
 import time
+from pathlib import Path
 
 import pytest
 
-from services.runtime.bus import Wakeup
+from protocol import keys
+from protocol.codec import decode, encode
+from protocol.messages import Phase, PhaseAnnounced, Status
+from services.runtime.bus import Frame, Inbox, Wakeup
 from services.runtime.zenoh_bus import ZenohBus
-from tests.processes.owned import Owner, RunningRouter, free_port
+from tests.processes.owned import Owner, RunningRouter, free_port, wait_for
 
 pytestmark = pytest.mark.processes
 
@@ -100,3 +104,56 @@ def test_it_is_small_and_idle(owner: Owner, router: RunningRouter) -> None:
     busy_secs = (cpu_ticks() - before) / 100
     assert busy_secs / (time.monotonic() - since) < 0.2
     assert resident_mb() < 150
+
+
+def test_plain_tcp_beyond_this_machine_is_refused_unless_it_is_asked_for(owner: Owner) -> None:
+    endpoint = f"tcp/0.0.0.0:{free_port()}"
+    refused = owner.start_service("router", "--listen", endpoint)
+    assert refused.ended() == 2
+    (sentence,) = refused.err
+    assert endpoint in sentence
+    assert "certificate" in sentence
+    assert "--plain" in sentence
+    asked = owner.start_service("router", "--listen", endpoint, "--plain")
+    assert endpoint in asked.expect("ready")
+
+
+def announce(bus: ZenohBus, term: int, phase: Phase) -> None:
+    announced = PhaseAnnounced(
+        run="r", term=term, block="all", life="coordinator-1", seq=0, phase=phase, blocks={}
+    )
+    bus.publish("phase", keys.phase("r"), encode(announced))
+
+
+def test_until_done_it_ends_once_the_run_is_done_and_all_have_left(owner: Owner) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    router = owner.start_service("router", "--listen", endpoint, "--until-done")
+    router.expect("ready")
+    coordinator = ZenohBus(endpoint, "coordinator-1", Wakeup(), connect_secs=10.0)
+    statuses, phases = Inbox(), list[Phase | None]()
+    coordinator.subscribe("status", keys.status("r", "router", "*"), statuses)
+    coordinator.announce(keys.alive("r", "coordinator", "coordinator-1"))
+
+    def heard(phase: Phase) -> int:
+        """How often the router's status had this phase, which the coordinator says again and again."""
+        announce(coordinator, term=1 + (phase is Phase.DONE), phase=phase)
+        frames = [arrival.data for arrival in statuses.take_all() if isinstance(arrival, Frame)]
+        phases.extend(message.phase for message in map(decode, frames) if isinstance(message, Status))
+        return phases.count(phase)
+
+    wait_for("the router's status in BABBLE", lambda: heard(Phase.BABBLE) > 0)
+    wait_for("the router's status, twice after the run was done", lambda: heard(Phase.DONE) > 1)
+    coordinator.close()
+    assert router.ended(within_secs=5.0) == 0
+
+
+def test_it_is_well_even_where_nobody_is(
+    owner: Owner, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    health = tmp_path / "health"
+    monkeypatch.setenv("BABBLE_HEALTH", str(health))
+    owner.router()
+    wait_for("the health file", health.exists)
+    asked = owner.start("health", "-m", "services.runtime.health")
+    assert asked.ended() == 0
+    assert "healthy: router" in asked.out[0]

@@ -203,7 +203,7 @@ def test_no_router_is_one_sentence_after_the_deadline() -> None:
         ZenohBus(endpoint, "actor-1", Wakeup(), connect_secs=1.0)
     assert 0.9 < time.monotonic() - began < 5.0
     assert str(failure.value) == (
-        f"no router answered at {endpoint} within 1 s; "
+        f"no router answered at {endpoint} within 1 s: nobody listens there; "
         "start one with `python -m services.router` or check the address"
     )
 

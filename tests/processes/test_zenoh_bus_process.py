@@ -110,7 +110,7 @@ def test_no_router_is_one_sentence_and_code_2(owner: Owner, run_dir: Path) -> No
     *earlier, sentence = process.err
     assert not any("Traceback" in line for line in earlier)
     assert sentence.startswith(
-        f"encoder_learner: no router answered at {endpoint} within 1 s; start one with"
+        f"encoder_learner: no router answered at {endpoint} within 1 s: nobody listens there; "
     )
 
 
