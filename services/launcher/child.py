@@ -12,6 +12,9 @@ from services.runtime.tether import tethered
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """A process is one of several on this machine; libraries that start a thread per core are in the way."""
 
+NOT_INHERITED = ("BABBLE_CREDENTIAL", "BABBLE_HEALTH", "BABBLE_RUN", "BABBLE_UNTIL_DONE")
+"""What is meant for one process is said on its command line; these would be meant for the launcher."""
+
 
 class ChildProcess:
     """A started process; only `poll` waits for it."""
@@ -20,7 +23,8 @@ class ChildProcess:
         """Starts it. Raises `UserError` if the operating system refuses."""
         # On Linux it dies with the thread that calls here: the launcher starts all from its main thread.
         command = tethered([sys.executable, *part.arguments])
-        environment = {**dict.fromkeys(ONE_THREAD, "1"), **os.environ}
+        inherited = {name: value for name, value in os.environ.items() if name not in NOT_INHERITED}
+        environment = {**dict.fromkeys(ONE_THREAD, "1"), **inherited}
         try:
             part.log.parent.mkdir(parents=True, exist_ok=True)
             with part.log.open("ab") as log:

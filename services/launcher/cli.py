@@ -10,11 +10,15 @@ from typing import Any, NoReturn
 
 COMMANDS = {
     "up": ("services.launcher.up", "train a scenario on this machine and show how it goes"),
+    "actor": ("services.launcher.actor_command", "join a run of another host with actors of this one"),
+    "prepare": ("services.launcher.prepare_command", "make a run's folder, or go on with the one there is"),
+    "watch": ("services.launcher.watch_command", "follow a run until it is done, wherever it goes on"),
     "status": ("services.launcher.status_command", "how a run is going"),
     "view": ("services.launcher.view_command", "see the recording of a run in a browser"),
     "report": ("services.launcher.report_command", "write the report of a run anew, with its figures"),
     "score": ("services.launcher.score_command", "score the saved models of a run in fresh worlds"),
     "worlds": ("services.launcher.worlds_command", "the worlds, with their parameters"),
+    "certs": ("services.launcher.certs_command", "certificates for runs over several hosts"),
     "doctor": ("services.launcher.doctor", "what is missing on this machine, and what to install"),
 }
 OURS = ("babble", "protocol", "services")

@@ -1,23 +1,14 @@
-"""What `babble up` is told, checked before any process starts: the scenario's settings and the address."""
+"""What the command line says of a run, checked before any process starts: the scenario's settings."""
 
-import socket
-from dataclasses import dataclass
+import argparse
+from collections.abc import Callable
 from pathlib import Path
 
-from services.runtime.errors import BusError
 from services.runtime.settings import RunSettings, SettingsError, load, parse
 
 ROOT = Path(__file__).resolve().parents[2]
 """The repository, where this is an editable install of one."""
 SUFFIX = ".toml"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Address:
-    """Where the router listens, and how processes of this machine reach it."""
-
-    listen: str
-    connect: str
 
 
 def scenario_path(scenario: str) -> Path:
@@ -73,36 +64,13 @@ def check_world(settings: RunSettings, *, origin: str) -> None:
         raise SettingsError(f"{origin}: block {parents} has children, and such blocks cannot act yet")
 
 
-def address_of(listen: str | None) -> Address:
-    """The address that was asked for, if it is free, else one of this machine alone on a free port.
+def at_least(least: int, most: int | None = None) -> Callable[[str], int]:
+    """What argparse makes of a whole number on the command line."""
+    bounds = f"of at least {least}" if most is None else f"from {least} to {most}"
 
-    Raises `BusError` if it is no address or is taken.
-    """
-    host, port = ("127.0.0.1", 0) if listen is None else _host_and_port(listen)
-    port = _free_port(host, port, listen)
-    bracketed = f"[{host}]" if ":" in host else host
-    reachable = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, bracketed)
-    return Address(listen=f"tcp/{bracketed}:{port}", connect=f"tcp/{reachable}:{port}")
+    def number(text: str) -> int:
+        if not text.isdecimal() or int(text) < least or (most is not None and int(text) > most):
+            raise argparse.ArgumentTypeError(f"must be a whole number {bounds}, got {text!r}")
+        return int(text)
 
-
-def _host_and_port(address: str) -> tuple[str, int]:
-    scheme, _, rest = address.partition("/")
-    host, _, port = rest.rpartition(":")
-    if scheme != "tcp" or not host or not port.isdecimal() or int(port) > 65535:
-        raise BusError(f"--listen {address}: not an address; it must look like tcp/127.0.0.1:7447")
-    return host.removeprefix("[").removesuffix("]"), int(port)
-
-
-def _free_port(host: str, port: int, asked: str | None) -> int:
-    try:
-        family, kind, protocol, _, where = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        with socket.socket(family, kind, protocol) as probe:
-            # As the router binds: a port that is only waiting out its last connections is free.
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind(where)
-            return int(probe.getsockname()[1])
-    except OSError as error:
-        raise BusError(
-            f"cannot listen at {asked or host} ({error.strerror}); "
-            "choose another address with --listen tcp/<address>:<port>, or leave it out for a free port"
-        ) from None
+    return number

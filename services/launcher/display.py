@@ -13,7 +13,11 @@ from services.launcher.members import Picture
 LIVE_SECS = 0.5
 """The live view is drawn anew so often."""
 PLAIN_SECS = 10.0
-"""The plain view says how far it is so often."""
+"""The plain view says how far it is so often, at first."""
+LONG_PLAIN_SECS = 60.0
+"""Of a long run so often: whoever reads the log of a day has other things to read."""
+SHARE = 0.05
+"""Of the time so far, in between."""
 
 
 class Display(AbstractContextManager["Display"], Protocol):
@@ -25,7 +29,7 @@ class Display(AbstractContextManager["Display"], Protocol):
 
 
 class PlainDisplay:
-    """One line per change, and one each `PLAIN_SECS`; each begins with the seconds since the start."""
+    """One line per change, and one now and then; each begins with the seconds since the start."""
 
     def __init__(self, out: TextIO | None = None) -> None:
         self._out = out or sys.stdout
@@ -49,12 +53,17 @@ class PlainDisplay:
         self._scores = len(picture.scores)
         if self._said_secs is None:
             self._said_secs = now_secs
-        elif now_secs - self._said_secs >= PLAIN_SECS and not picture.done:
+        elif now_secs - self._said_secs >= _pause_secs(now_secs - picture.began_secs) and not picture.done:
             self._said_secs = now_secs
             self._say(picture, now_secs, progress_line(picture, now_secs))
 
     def _say(self, picture: Picture, now_secs: float, text: str) -> None:
         print(f"{now_secs - picture.began_secs:7.1f} s  {text}", file=self._out, flush=True)
+
+
+def _pause_secs(since_secs: float) -> float:
+    """How long the plain view is silent if nothing happens."""
+    return min(max(PLAIN_SECS, SHARE * since_secs), LONG_PLAIN_SECS)
 
 
 class LiveDisplay:

@@ -11,12 +11,15 @@ import sys
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from importlib import metadata
+from pathlib import Path
 
 from babble.worlds import gl_advice
-from services.launcher.config import address_of
+from services.launcher.address import CERTS, address_of
 from services.launcher.dashboard import Choice, PortError, Ports, words
 from services.launcher.run_folder import RUNS, installed
+from services.runtime.credentials import WARN_DAYS, CredentialError, load_credential
 from services.runtime.errors import BusError
 from services.runtime.settings import SettingsError
 
@@ -27,6 +30,8 @@ LEAST_MEMORY_BYTES = 2 << 30
 """Both learners need about 0.7 GB each, nearly all of it torch."""
 LEAST_CORES = 2
 ROUTER_SECS = 10.0
+DOCKER_SECS = 5.0
+MOST_BAD = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,6 +71,9 @@ def examine() -> Iterable[Finding]:
     yield _router()
     yield _disk()
     yield _machine()
+    yield docker_finding(shutil.which("docker"))
+    if CERTS.is_dir():
+        yield certificates(CERTS, datetime.now(UTC))
 
 
 def requirements(extra: str) -> list[str]:
@@ -111,6 +119,54 @@ def dashboard_finding(version_of: Callable[[str], str | None]) -> Finding:
         text=f"rerun-sdk {rerun}; a run's would be at {where}, for any browser with WebGL 2",
         needed=False,
     )
+
+
+def docker_finding(docker: str | None) -> Finding:
+    """Whether `docker compose up` could work here; `babble up` needs none of it."""
+    use = "needed only for `docker compose up`"
+    if docker is None:
+        return Finding(what="docker", text=f"not found; {use}", good=False, needed=False)
+    engine = _said(docker, "version", "--format", "{{.Server.Version}}")
+    compose = _said(docker, "compose", "version", "--short")
+    text = f"engine {engine or 'none answers'}, compose {compose or 'not found'}"
+    if not engine:
+        text += f"; start the engine, or join its group (`docker version` says more); {use}"
+    elif not compose:
+        text += f"; install the plugin docker-compose-plugin (v2); {use}"
+    return Finding(what="docker", text=text, good=bool(engine and compose), needed=False)
+
+
+def certificates(folder: Path, now: datetime) -> Finding:
+    """Which of the credentials in the folder, and beside its router, cannot be used or soon cannot."""
+    bad, ends = [], list[datetime]()
+    paths = [path for path in (*folder.glob("*.pem"), *folder.glob("router/*.pem")) if path.name != "ca.pem"]
+    for path in sorted(paths):
+        try:
+            end = load_credential(path).not_after
+        except CredentialError as error:
+            bad.append(str(error))
+            continue
+        ends.append(end)
+        left_days = (end - now).days
+        if left_days < WARN_DAYS:
+            bad.append(f"{path} expire{'d' if end <= now else 's'} on {end:%Y-%m-%d}")
+    if bad:
+        text = "; ".join(bad[:MOST_BAD]) + (
+            f"; and {len(bad) - MOST_BAD} more" if len(bad) > MOST_BAD else ""
+        )
+        what_to_do = "see `babble certs list`, renew with `babble certs renew --soon`"
+        return Finding(what="certificates", text=f"{text}; {what_to_do}", good=False, needed=False)
+    until = f", all good until {min(ends):%Y-%m-%d}" if ends else ""
+    return Finding(what="certificates", text=f"{len(ends)} credentials in {folder}/{until}", good=True)
+
+
+def _said(*command: str) -> str:
+    """The first line that a program says; empty if it fails or says nothing in time."""
+    try:
+        said = subprocess.run(command, capture_output=True, text=True, timeout=DOCKER_SECS, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return ""
+    return said.stdout.strip().partition("\n")[0]
 
 
 def _python() -> Finding:

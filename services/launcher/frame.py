@@ -127,7 +127,7 @@ def _headline(picture: Picture, now_secs: float, width: int, signs: Signs) -> Se
 
 def _phase(picture: Picture, now_secs: float, width: int, signs: Signs) -> Section:
     if picture.announced is None:
-        return _section(1, [(("starting the processes", "bold cyan"),)], 1)
+        return _section(1, [((picture.opening, "bold cyan"),)], 1)
     rows: list[Line] = [((phase_words(picture.announced), "bold cyan"),)]
     works = picture.work(now_secs)
     longest = max((len(work.progress.block) for work in works), default=0)
@@ -184,7 +184,8 @@ def _wire(picture: Picture, width: int, signs: Signs) -> Section:
     tally = picture.tally()
     counts = ((tally.lost, "lost"), (tally.duplicated, "duplicated"), (tally.refused, "refused"))
     words = [f"{count:,} {what}" for count, what in (*counts, (tally.resent, "sent again"))]
-    style = "yellow" if tally.lost or tally.refused else ""
+    words += [f"{tally.cut_off:,} cut off by the router"] if tally.cut_off else []
+    style = "yellow" if tally.lost or tally.refused or tally.cut_off else ""
     return _section(5, [((text, style),) for text in packed(words, width, signs)], 1)
 
 

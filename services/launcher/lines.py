@@ -44,6 +44,8 @@ ASCII = Signs(full="#", empty="-", dash="-")
 
 def progress_line(picture: Picture, now_secs: float) -> str:
     """The state in one line, for where there is no terminal."""
+    if not picture.linked:
+        return "waiting for the router"
     if picture.announced is None:
         return "waiting for the coordinator"
     parts = [f"{phase_words(picture.announced)}: {_work_words(work)}" for work in picture.work(now_secs)]

@@ -20,10 +20,13 @@ ERROR_SECS = 10.0
 """What goes wrong in one process is told so often at most; the newest is always to be seen."""
 DOUBT_SECS = 0.3
 """The tokens of all members go a moment before the own link is known to be lost."""
+ROUTER = "router"
 MOST_LAST_WORDS = 256
 MOST_NEWS = 100
 MOST_EVENTS = 16
 """So many of the last events can be seen again."""
+SILENT_SECS = 10.0
+"""Who has no token (the router, and what speaks late of itself) has gone after so long without a word."""
 UNEASY_SECS = 5.0
 """A member that has said nothing for so long is worth a look."""
 
@@ -34,6 +37,8 @@ class Member:
 
     life: str
     service: str
+    has_token: bool = False
+    """its token was seen, so that it is known at once when it goes; the router has none"""
     lost_secs: float | None = None
     """when it went, None while it is alive"""
     went_in_order: bool = False
@@ -55,9 +60,15 @@ class Tally:
     duplicated: int = 0
     refused: int = 0
     resent: int = 0
+    cut_off: int = 0
+    """clients that the router shut out because they did too much"""
 
     def add(self, status: Status) -> None:
         """Add the totals of one life."""
+        if status.service == ROUTER:
+            # What it finds to be garbage is refused, and counted, by those who are meant to read it.
+            self.cut_off += status.totals.get("cut_off", 0)
+            return
         self.lost += status.lost
         self.duplicated += status.duplicated
         self.refused += sum(status.refused.values())
@@ -82,6 +93,8 @@ class Picture:
         self.began_secs = began_secs
         self.goals: GoalSettings | None = None
         """How reaching goals is rewarded; None if that is not known here."""
+        self.opening = "starting the processes"
+        """What goes on before the coordinator's first word."""
         self.dashboard = ""
         """Where a browser finds the dashboard; empty if there is none."""
         self.news: deque[str] = deque(maxlen=MOST_NEWS)
@@ -119,13 +132,15 @@ class Picture:
         before = self.announced
         if self._latest.admit(announced) and (before is None or announced.term > before.term):
             self._speeds.clear()
-            self._tell(phase_words(announced), now_secs)
+            self.tell(phase_words(announced), now_secs)
 
     def hear_status(self, status: Status, now_secs: float) -> None:
         """Take a member's status."""
         member = self._members.setdefault(status.life, Member(status.life, status.service))
         self._last_words.pop(status.life, None)
         member.status, member.heard_secs = status, now_secs
+        if not member.has_token:
+            member.lost_secs = None
         member.cpu.hear(now_secs, round(1000 * status.metrics.get("cpu_secs", 0.0)))
         if "env_steps" in status.totals:
             member.speed.hear(now_secs, status.totals["env_steps"])
@@ -135,6 +150,11 @@ class Picture:
         if status.last_error:
             self.note_error(status.life, f"{status.life}: {status.last_error}", now_secs)
 
+    def tell(self, sentence: str, now_secs: float) -> None:
+        """Something happened."""
+        self.news.append(sentence)
+        self.events.append((now_secs, sentence))
+
     def note_error(self, where: str, sentence: str, now_secs: float) -> None:
         """Something went wrong; it is news once, and of one process only now and then."""
         if self.errors.get(where) == sentence:
@@ -143,7 +163,7 @@ class Picture:
         self.errors[where] = sentence
         if now_secs >= self._said_secs.get(where, float("-inf")) + ERROR_SECS:
             self._said_secs[where] = now_secs
-            self._tell(sentence, now_secs)
+            self.tell(sentence, now_secs)
 
     def note_mishap(self, sentence: str, now_secs: float) -> None:
         """Something went wrong and is being dealt with; it is news, and to be seen for a while."""
@@ -153,13 +173,12 @@ class Picture:
     def appeared(self, service: str, life: str, now_secs: float) -> None:
         """A member is there."""
         self._gone.pop(life, None)
-        member = self._members.get(life)
-        if member is None:
-            self._members[life] = Member(life, service)
-            self._tell(f"{life} is there", now_secs)
-        elif member.lost_secs is not None:
-            member.lost_secs = None
-            self._tell(f"{life} is back", now_secs)
+        member = self._members.setdefault(life, Member(life, service))
+        if member.lost_secs is not None:
+            self.tell(f"{life} is back", now_secs)
+        elif not member.has_token:
+            self.tell(f"{life} is there", now_secs)
+        member.has_token, member.lost_secs = True, None
 
     def vanished(self, life: str, now_secs: float) -> None:
         """A member's token is gone: it is lost, unless it was this process's own link."""
@@ -170,7 +189,7 @@ class Picture:
     def link(self, up: bool, now_secs: float) -> None:
         """This process's own link to the router went or came back."""
         if up != self.linked:
-            self._tell("the router is back" if up else "the link to the router is lost", now_secs)
+            self.tell("the router is back" if up else "the link to the router is lost", now_secs)
         self.linked = up
         self._linked_secs = now_secs if up else float("inf")
 
@@ -180,7 +199,8 @@ class Picture:
             for life in [life for life, secs in self._gone.items() if now_secs >= secs + DOUBT_SECS]:
                 self._members[life].lost_secs = self._gone.pop(life)
                 self._members[life].went_in_order = self.done
-                self._tell(f"{life} {'has left' if self.done else 'is lost'}", now_secs)
+                self.tell(f"{life} {'has left' if self.done else 'is lost'}", now_secs)
+            self._settle_silent(now_secs)
         for sentence in [s for s, secs in self._mishaps.items() if now_secs > secs + SHOW_MISHAP_SECS]:
             del self._mishaps[sentence]
             self.errors.pop(sentence, None)
@@ -193,6 +213,13 @@ class Picture:
             self.errors.pop(life, None)
         while len(self._last_words) > MOST_LAST_WORDS:
             self._of_the_gone.add(self._last_words.pop(next(iter(self._last_words))))
+
+    def _settle_silent(self, now_secs: float) -> None:
+        for member in self._members.values():
+            if member.has_token or member.heard_secs is None or member.lost_secs is not None:
+                continue
+            if now_secs > member.heard_secs + SILENT_SECS:
+                member.lost_secs = now_secs
 
     def members(self, service: str | None = None) -> list[Member]:
         """Those alive and those lost lately, of one service or of all."""
@@ -222,6 +249,12 @@ class Picture:
             tally.add(status)
         return tally
 
+    def cpu_secs(self) -> dict[str, float]:
+        """Life -> CPU seconds, as last heard of it; those of the longest gone are forgotten."""
+        heard = [member.status for member in self._members.values() if member.status is not None]
+        said = {status.life: status for status in (*self._last_words.values(), *heard)}
+        return {life: s.metrics["cpu_secs"] for life, s in sorted(said.items()) if "cpu_secs" in s.metrics}
+
     def measured(self) -> dict[str, dict[str, float]]:
         """Block -> the newest of what the learners measure, by names such as "policy/loss"."""
         blocks: dict[str, dict[str, float]] = {}
@@ -243,10 +276,6 @@ class Picture:
     def _of_learners(self) -> list[Status]:
         heard = (member.status for member in self.members() if member.service.endswith("_learner"))
         return [status for status in heard if status is not None]
-
-    def _tell(self, sentence: str, now_secs: float) -> None:
-        self.news.append(sentence)
-        self.events.append((now_secs, sentence))
 
     def _work(self, progress: Progress, now_secs: float) -> BlockWork:
         per_sec = self._speeds.setdefault(progress.block, Speed()).per_sec(now_secs)

@@ -8,6 +8,8 @@ from services.launcher.members import UNEASY_SECS, Member, Picture
 COLUMNS = (("heard", 9), ("steps/s", 9), ("queue", 6), ("cpu", 6), ("MB", 6))
 """Heads and widths; where a terminal is narrow, the last ones are left out."""
 LIFE_WIDTH = 24
+"""What a life gets before the columns do; where there is room, it gets all it needs."""
+CUT = "~"
 LEAST_LIFE_WIDTH = 8
 MOST_ACTORS = 8
 
@@ -15,9 +17,10 @@ MOST_ACTORS = 8
 def roster(picture: Picture, now_secs: float, width: int, most: int | None = None) -> list[Line]:
     """The table in at most so many lines: services first, then actors, then what these do together."""
     columns = _columns(width)
-    life_width = min(LIFE_WIDTH, width - sum(size for _, size in columns))
     actors = picture.members("actor")
     members = [member for member in picture.members() if member.service != "actor"] + actors
+    longest = max((len(member.life) for member in members), default=0)
+    life_width = min(max(LIFE_WIDTH, longest), width - sum(size for _, size in columns))
     together = _together(actors, columns, life_width, total_rate(picture, now_secs))
     room = len(members) + 2 if most is None else most - 1 - len(together)
     shown = min(len(members) - max(0, len(actors) - MOST_ACTORS), room)
@@ -43,7 +46,16 @@ def _columns(width: int) -> Sequence[tuple[str, int]]:
 
 def _row(member: Member, columns: Sequence[tuple[str, int]], life_width: int, now_secs: float) -> Line:
     cells = "".join(f"{_cell(member, name, now_secs):>{size}}" for name, size in columns)
-    return ((f"{member.life[:life_width]:<{life_width}}", ""), (cells, _style(member, now_secs)))
+    return ((f"{_name(member.life, life_width):<{life_width}}", ""), (cells, _style(member, now_secs)))
+
+
+def _name(life: str, width: int) -> str:
+    """The life, or its begin and its end: in between is what many of one host have in common."""
+    if len(life) <= width:
+        return life
+    head, _, tail = life.rpartition("-")
+    room = width - len(tail) - len(CUT)
+    return f"{head[:room]}{CUT}{tail}" if room > 0 else life[:width]
 
 
 def _cell(member: Member, name: str, now_secs: float) -> str:

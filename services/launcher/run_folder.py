@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from services.launcher.config import ROOT
+from services.launcher.records import Records
+from services.launcher.timeline import timeline_of
 from services.runtime.checkpoint import refuse_storage, write_atomically
 from services.runtime.errors import StorageError, UserError
 from services.runtime.process import read_run_name
@@ -59,15 +61,17 @@ class RunFolder:
         self.run = run
 
     @classmethod
-    def create(cls, settings: RunSettings, where: Path | None, command: Sequence[str]) -> "RunFolder":
-        """A new folder, at `where` or as `runs/<scenario>-<time>-<seed>`.
+    def create(
+        cls, settings: RunSettings, where: Path | None, command: Sequence[str], *, run: str = ""
+    ) -> "RunFolder":
+        """A new folder, at `where` or as `runs/<scenario>-<time>-<seed>`, for a run that may have a name.
 
         Raises `RunFolderError` if `where` is in use for something else, `StorageError` if the disk refuses.
         """
         made = datetime.now()
         name = run_name(settings, made)
         path = _new_folder(name) if where is None else _empty_folder(where)
-        run = path.name if where is None else name
+        run = run or (path.name if where is None else name)
         write_atomically(path / "config.toml", config_text(settings).encode())
         record: dict[str, Any] = {"run": run, "created": made.astimezone(UTC).isoformat(timespec="seconds")}
         record |= {"seed": settings.seed, "seed_tree": "run -> service or actor index -> life"}
@@ -214,6 +218,10 @@ class RunFolder:
     def result(self) -> dict[str, Any]:
         """What `finish` wrote; empty if the run is not completed."""
         return self._read("result.json")
+
+    def completed(self) -> bool:
+        """True once the run is done, whoever looked after it: `finish` is called by launchers only."""
+        return bool(self.result()) or timeline_of(Records(self.path / "events.jsonl")).done
 
     def finish(self, result: dict[str, Any]) -> None:
         """Record that the run is completed. Raises `StorageError`."""

@@ -1,4 +1,4 @@
-"""The life of `babble up`: start, look after, show, end. The only room with a loop."""
+"""The life of `babble up`: start, look after, show, end."""
 
 import signal
 import threading
@@ -7,8 +7,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
+from services.launcher.address import LOCAL_ACTOR, Address
 from services.launcher.child import ChildProcess
-from services.launcher.config import Address
 from services.launcher.dashboard import HOST, Ports
 from services.launcher.display import Display
 from services.launcher.listening import Listener
@@ -16,7 +16,7 @@ from services.launcher.members import Picture
 from services.launcher.run_folder import RunFolder
 from services.launcher.supervisor import USER_ERROR, Part, Supervisor
 from services.runtime.bus import Bus, Wakeup
-from services.runtime.errors import BusError, StorageError
+from services.runtime.errors import StorageError, UserError
 from services.runtime.process import new_life
 from services.runtime.settings import RunSettings
 
@@ -85,7 +85,7 @@ class Launcher:
         dashboard: Ports | None = None,
     ) -> None:
         """`dashboard` are the ports of one; None for a run without."""
-        self._folder, self._display, self._endpoint = folder, display, address.connect
+        self._folder, self._display, self._address = folder, display, address
         self._connect_secs = settings.wire.connect_secs
         self._supervisor = Supervisor(parts_of(folder, settings, address, dashboard), ChildProcess)
         self._picture = Picture(folder.run, folder.shown, time.monotonic())
@@ -104,7 +104,7 @@ class Launcher:
 
         Raises `StorageError` or `UserError` if not even that is possible.
         """
-        self._folder.note_endpoint(self._endpoint)
+        self._folder.note_endpoint(self._address.connect)
         self._folder.note_dashboard(self._picture.dashboard)
         try:
             with self._display:
@@ -154,9 +154,15 @@ class Launcher:
         from services.runtime.zenoh_bus import ZenohBus
 
         try:
-            bus = ZenohBus(self._endpoint, new_life("launcher"), self._wakeup, self._connect_secs)
+            bus = ZenohBus(
+                self._address.connect,
+                new_life("launcher"),
+                self._wakeup,
+                self._connect_secs,
+                self._address.credential(),
+            )
             self._listener.connect(bus)
-        except BusError as error:
+        except UserError as error:
             self._unconnected = str(error)
             return
         self._bus = bus
@@ -225,12 +231,13 @@ def parts_of(
     folder: RunFolder, settings: RunSettings, address: Address, dashboard: Ports | None = None
 ) -> list[Part]:
     """The processes of a run, with a dashboard if it has ports."""
-    told = ("--run-dir", str(folder.path), "--connect", address.connect)
+    run_dir = ("--run-dir", str(folder.path))
 
     def part(name: str, service: str, *more: str) -> Part:
+        told = address.options(LOCAL_ACTOR if service == "actor" else service)
         return Part(
             name=name,
-            arguments=("-m", f"services.{service}", *more),
+            arguments=("-m", f"services.{service}", *more, *told),
             log=folder.log(name),
             expendable=service == "actor",
             outlasts=service == "router",
@@ -238,9 +245,9 @@ def parts_of(
             optional=service == DASHBOARD,
         )
 
-    actors = [part(f"actor-{i}", "actor", *told, "--index", str(i)) for i in range(settings.actors.count)]
-    services = [part(name, name, *told) for name in ("coordinator", "encoder_learner", "policy_learner")]
+    actors = [part(f"actor-{i}", "actor", *run_dir, "--index", str(i)) for i in range(settings.actors.count)]
+    services = [part(name, name, *run_dir) for name in ("coordinator", "encoder_learner", "policy_learner")]
     if dashboard is not None:
         ports = ("--web-port", str(dashboard.web), "--grpc-port", str(dashboard.grpc))
-        actors.append(part(DASHBOARD, DASHBOARD, *told, "--bind", HOST, *ports))
-    return [part("router", "router", "--listen", address.listen), *services, *actors]
+        actors.append(part(DASHBOARD, DASHBOARD, *run_dir, "--bind", HOST, *ports))
+    return [part("router", "router"), *services, *actors]

@@ -7,20 +7,20 @@ import sys
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
+from pathlib import Path
 from typing import Any
-
-from pydantic import TypeAdapter, ValidationError
 
 from protocol import keys
 from protocol.codec import Refused, decode, encode
-from protocol.messages import ALL_BLOCKS, Command, Name, Reply
+from protocol.messages import ALL_BLOCKS, Command, Reply
+from services.launcher.address import launcher_credential
 from services.launcher.frame import facts
 from services.launcher.lines import ASCII, Signs, best_words, brief, score_table
 from services.launcher.listening import Listener
 from services.launcher.members import Picture
-from services.launcher.run_folder import RUNS, RunFolder, RunFolderError, running
-from services.runtime.bus import Wakeup
-from services.runtime.errors import UserError
+from services.launcher.reaching import NotRunning, add_reaching, reach
+from services.launcher.run_folder import RunFolder
+from services.runtime.bus import Bus, Wakeup
 from services.runtime.process import new_life
 
 SERVICE = "coordinator"
@@ -34,29 +34,18 @@ MOST_ITERATIONS = 4
 """Of each block; the one that is kept is shown besides."""
 
 
-class NotRunning(UserError):
-    """There is no run to ask."""
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `babble status`."""
-    parser.add_argument(
-        "run",
-        nargs="?",
-        metavar="RUN",
-        help=f"folder or name of a run (default: the one that goes on in {RUNS}/)",
-    )
-    parser.add_argument(
-        "--connect",
-        metavar="ADDRESS",
-        help="the router's address, for a run of another machine; RUN is its name",
-    )
+    add_reaching(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Print how the run goes; returns 0. Raises `UserError` if there is none or it does not answer."""
-    name, endpoint, folder = _whom_to_ask(arguments.run, arguments.connect)
-    told, picture = look(name, endpoint)
+    asked = reach(arguments.run, arguments.connect)
+    folder = asked.folder
+    if folder is not None and not folder.in_use():
+        _refuse_completed(folder)
+    told, picture = look(asked.run, asked.endpoint(), arguments.credential)
     if folder is not None:
         picture.goals = folder.settings().goals
     lines = status_lines(
@@ -69,34 +58,42 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def look(run: str, endpoint: str) -> tuple[dict[str, Any], Picture]:
+def look(run: str, endpoint: str, credential: Path | None = None) -> tuple[dict[str, Any], Picture]:
     """What the coordinator says of the run, and what its members said within a moment.
 
-    Raises `NotRunning` if the coordinator is silent, `BusError` without a router.
+    Raises `NotRunning` if the coordinator is silent, `BusError` without a router, `CredentialError` if the
+    router would not let this process in.
     """
+    shown = launcher_credential(endpoint, credential)
     from services.runtime.zenoh_bus import ZenohBus
 
-    life = new_life("launcher")
-    command = Command(run=run, term=0, block=ALL_BLOCKS, life=life, seq=0, id=life, name="describe")
     wakeup = Wakeup()
-    bus = ZenohBus(endpoint, life, wakeup, CONNECT_SECS)
+    bus = ZenohBus(endpoint, new_life("launcher"), wakeup, CONNECT_SECS, shown)
     try:
         picture = Picture(run, "", time.monotonic())
         listener = Listener(picture, wakeup)
         listener.connect(bus)
         until_secs = time.monotonic() + LISTEN_SECS
-        answer = bus.ask(keys.command(run, SERVICE), encode(command), ANSWER_SECS)
-        while answer and (left_secs := until_secs - time.monotonic()) > 0:
+        told = ask(bus, run, ANSWER_SECS)
+        while (left_secs := until_secs - time.monotonic()) > 0:
             wakeup.wait(left_secs)
             listener.hear(time.monotonic())
     finally:
         bus.close()
+    return told, picture
+
+
+def ask(bus: Bus, run: str, within_secs: float) -> dict[str, Any]:
+    """The coordinator's description of a run. Raises `NotRunning` if it gives none in time."""
+    life = new_life("launcher")
+    command = Command(run=run, term=0, block=ALL_BLOCKS, life=life, seq=0, id=life, name="describe")
+    answer = bus.ask(keys.command(run, SERVICE), encode(command), within_secs)
     if not answer:
         raise NotRunning(
-            f"the coordinator of {run} did not answer at {endpoint} within {ANSWER_SECS:.0f} s; "
-            "it may be starting again, so try once more, or look into its log"
+            f"the coordinator of {run} did not answer within {within_secs:.0f} s; check the run's name, try "
+            "once more in case it is starting again, or look into its log"
         )
-    return _described(answer), picture
+    return _described(answer)
 
 
 def status_lines(
@@ -145,40 +142,13 @@ def _happened(event: Mapping[str, object]) -> str:
         return ""
 
 
-def _whom_to_ask(run: str | None, endpoint: str | None) -> tuple[str, str, RunFolder | None]:
-    """The run's name, its router's address, and its folder if it is a run of this machine."""
-    if endpoint is not None:
-        return _run_name(run), endpoint, None
-    if run is not None:
-        folder = RunFolder.find(run)
-        if not folder.in_use():
-            if folder.result():
-                raise NotRunning(
-                    f"the run {folder.shown} is completed; read {folder.shown}/report.md"
-                    + (f", or see it again with `babble view {folder.shown}`" if folder.recorded() else "")
-                )
-            raise NotRunning(
-                f"the run {folder.shown} is not going on; go on with `babble up --resume {folder.shown}`"
-            )
-        return folder.run, folder.endpoint(), folder
-    found = running()
-    if not found:
+def _refuse_completed(folder: RunFolder) -> None:
+    """Raise `NotRunning` for a run that is over."""
+    if folder.completed():
         raise NotRunning(
-            f"no run is going on in {RUNS}/; start one with `babble up SCENARIO`, or name its folder"
+            f"the run {folder.shown} is completed; read {folder.shown}/report.md"
+            + (f", or see it again with `babble view {folder.shown}`" if folder.recorded() else "")
         )
-    return found[-1].run, found[-1].endpoint(), found[-1]
-
-
-def _run_name(run: str | None) -> str:
-    if run is None:
-        raise NotRunning("--connect needs the name of the run too: babble status RUN --connect ADDRESS")
-    try:
-        return RunFolder.find(run).run
-    except RunFolderError:
-        try:
-            return TypeAdapter(Name).validate_python(run)
-        except ValidationError:
-            raise NotRunning(f"{run!r} is neither a run's folder nor a run's name") from None
 
 
 def _described(answer: bytes) -> dict[str, Any]:

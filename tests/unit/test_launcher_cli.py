@@ -2,13 +2,21 @@
 
 import subprocess
 import sys
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 
 from babble.worlds import WORLDS
+from services.launcher.authority import issue, make_authority
 from services.launcher.cli import main
-from services.launcher.doctor import dashboard_finding, packages, requirements
+from services.launcher.doctor import (
+    certificates,
+    dashboard_finding,
+    docker_finding,
+    packages,
+    requirements,
+)
 from services.launcher.status_command import status_lines
 from services.launcher.worlds_command import world_lines
 from tests.unit.analytic_run import write_run
@@ -36,7 +44,19 @@ def test_the_launcher_loads_nothing_heavy_and_its_help_next_to_nothing() -> None
 def test_without_a_command_it_helps(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 0
     said = capsys.readouterr().out
-    for command in ("up", "status", "view", "report", "score", "worlds", "doctor"):
+    for command in (
+        "up",
+        "actor",
+        "prepare",
+        "watch",
+        "certs",
+        "status",
+        "view",
+        "report",
+        "score",
+        "worlds",
+        "doctor",
+    ):
         assert f"    {command} " in said
 
 
@@ -81,6 +101,44 @@ def test_a_run_can_do_without_what_the_dashboard_needs() -> None:
     assert "without rerun-sdk;" in found.text
     assert "--extra dashboard" in found.text
     assert dashboard_finding(lambda name: "1.0").good
+
+
+def test_the_doctor_says_what_containers_would_need_and_that_nothing_else_does(tmp_path: Path) -> None:
+    none = docker_finding(None)
+    assert (none.good, none.needed) == (False, False)
+    assert none.text == "not found; needed only for `docker compose up`"
+    for engine, compose, words in (
+        ("20.10.24", "2.40.3", "engine 20.10.24, compose 2.40.3"),
+        ("", "2.40.3", "engine none answers, compose 2.40.3; start the engine"),
+        ("20.10.24", "", "engine 20.10.24, compose not found; install the plugin"),
+    ):
+        docker = tmp_path / "docker"
+        choose = f'[ "$1" = compose ] && said="{compose}" || said="{engine}"'
+        docker.write_text(f'#!/bin/sh\n{choose}\necho "$said"\n[ "$said" ]\n')
+        docker.chmod(0o755)
+        found = docker_finding(str(docker))
+        assert found.text.startswith(words)
+        assert (found.good, found.needed) == (bool(engine and compose), False)
+
+
+def test_the_doctor_names_certificates_that_expire(tmp_path: Path) -> None:
+    authority, now = make_authority(), datetime.now(UTC)
+    (tmp_path / "router").mkdir()
+    (tmp_path / "ca.pem").write_bytes(authority.certificate_pem)
+    router, actor = tmp_path / "router" / "router.pem", tmp_path / "actor.lab.pem"
+    router.write_bytes(issue(authority, "router", days=100))
+    actor.write_bytes(issue(authority, "actor.lab", days=60))
+    good = certificates(tmp_path, now)
+    assert good.good
+    assert good.text == f"2 credentials in {tmp_path}/, all good until {now + timedelta(days=60):%Y-%m-%d}"
+    soon = certificates(tmp_path, now + timedelta(days=40))
+    assert (soon.good, soon.needed) == (False, False)
+    assert f"{actor} expires on {now + timedelta(days=60):%Y-%m-%d}; see `babble certs list`" in soon.text
+    both = certificates(tmp_path, now + timedelta(days=80))
+    assert f"{actor} expired on" in both.text
+    assert f"{router} expires on" in both.text
+    actor.write_text("rubbish")
+    assert f"{actor} is no credential" in certificates(tmp_path, now).text
 
 
 def test_status_tells_phase_members_and_scores() -> None:
@@ -135,7 +193,7 @@ def test_status_tells_what_was_heard_besides_and_where_the_dashboard_is() -> Non
 def test_status_of_a_run_that_is_over_says_whether_to_go_on_or_what_to_read(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder = write_run(tmp_path / "run", [])
+    folder = write_run(tmp_path / "run", [], phase="walk (level 0, iteration 1, term 5)")
     assert main(["status", str(folder)]) == 2
     assert f"go on with `babble up --resume {folder}`" in capsys.readouterr().err
     (folder / "result.json").write_text('{"scores_secs": 1.5}')

@@ -1,12 +1,10 @@
-"""What `babble up` accepts and refuses before anything starts."""
+"""Scenarios as they are found, changed by the command line and tried out before anything starts."""
 
-import socket
 from pathlib import Path
 
 import pytest
 
-from services.launcher.config import address_of, check_world, scenario_path, scenario_settings
-from services.runtime.errors import BusError
+from services.launcher.config import check_world, scenario_path, scenario_settings
 from services.runtime.settings import SettingsError, parse
 
 
@@ -54,35 +52,3 @@ def test_worlds_and_blocks_are_tried_out(table: dict[str, object], sentence: str
     with pytest.raises(SettingsError, match=sentence) as refused:
         check_world(settings, origin="x.toml")
     assert str(refused.value).startswith("x.toml: ")
-
-
-def test_by_default_the_router_listens_to_this_machine_on_a_free_port() -> None:
-    address = address_of(None)
-    assert address.listen == address.connect
-    host, port = address.listen.removeprefix("tcp/").split(":")
-    assert host == "127.0.0.1"
-    with socket.socket() as probe:
-        probe.bind((host, int(port)))
-
-
-def test_an_address_for_other_hosts_is_reached_by_loopback_here() -> None:
-    port = address_of(None).listen.rpartition(":")[2]
-    address = address_of(f"tcp/0.0.0.0:{port}")
-    assert (address.listen, address.connect) == (f"tcp/0.0.0.0:{port}", f"tcp/127.0.0.1:{port}")
-
-
-def test_a_busy_port_is_refused_with_what_to_do() -> None:
-    with socket.socket() as holder:
-        holder.bind(("127.0.0.1", 0))
-        holder.listen()
-        port = holder.getsockname()[1]
-        with pytest.raises(BusError, match=f"127.0.0.1:{port}.*in use.*--listen"):
-            address_of(f"tcp/127.0.0.1:{port}")
-
-
-@pytest.mark.parametrize(
-    "address", ["7447", "tcp/127.0.0.1", "tcp/:7447", "udp/127.0.0.1:7447", "tcp/a:70000"]
-)
-def test_what_is_no_address_is_refused(address: str) -> None:
-    with pytest.raises(BusError, match=r"must look like tcp/127\.0\.0\.1:7447"):
-        address_of(address)

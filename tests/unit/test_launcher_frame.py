@@ -2,6 +2,7 @@
 
 import pytest
 
+from protocol.messages import ALL_BLOCKS, Status
 from services.launcher.frame import facts, frame
 from services.launcher.lines import ASCII, progress_line
 from services.launcher.members import Picture
@@ -125,3 +126,30 @@ def test_the_facts_for_status_have_no_gaps_in_what_they_tell() -> None:
     shown = "\n".join(texts(facts(practising(), 2.0, 100)))
     for needed in ("! policy_learner", "policy v14", "actor-00000002", "1 lost"):
         assert needed in shown
+
+
+def test_lives_of_other_hosts_are_told_apart_in_narrow_terminals_too() -> None:
+    seen = practising(0)
+    host = "a_label_of_24_characters"
+    for index in range(2):
+        seen.appeared("actor", f"actor-{host}-{index:08x}", 0.0)
+    for width, name in ((100, f"actor-{host}-00000001"), (60, "actor-a_label_o~00000001")):
+        lines = texts(frame(seen, 2.0, width))
+        assert sum(line.startswith(name) for line in lines) == 1
+        assert max(map(len, lines)) <= width
+
+
+def test_who_was_cut_off_is_counted_beside_what_was_lost() -> None:
+    seen = practising()
+    assert not any("cut off" in line for line in texts(frame(seen, 2.0, 80)))
+    said = Status(
+        run=RUN,
+        block=ALL_BLOCKS,
+        seq=0,
+        term=7,
+        life="router-1a2b3c4d",
+        service="router",
+        totals={"cut_off": 1},
+    )
+    seen.hear_status(said, 2.0)
+    assert any(line.endswith("1 cut off by the router") for line in texts(frame(seen, 2.0, 80)))

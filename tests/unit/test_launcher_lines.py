@@ -5,7 +5,7 @@ import io
 import pytest
 
 from services.launcher.display import LiveDisplay, PlainDisplay, display_for
-from services.launcher.lines import brief, clock_words, cpu_table, score_table
+from services.launcher.lines import brief, clock_words, cpu_table, progress_line, score_table
 from tests.unit.launcher_picture import practising, row
 
 
@@ -62,6 +62,26 @@ def test_plain_lines_come_on_changes_and_every_ten_seconds() -> None:
     assert "iteration 0, mean policy: separation 0.988" in lines[1]
     assert "PRACTISE 2 of 4: body 1,228,800 of 12,288,000 steps" in lines[2]
     assert lines[2].endswith("InfoNCE 2.35, reward -0.25")
+
+
+def test_of_a_long_run_a_plain_line_comes_each_minute() -> None:
+    out = io.StringIO()
+    seen = practising()
+    seen.news.clear()
+    seen.scores = []
+    with PlainDisplay(out) as display:
+        for second in range(7201):
+            display.show(seen, float(second))
+    lines = [float(line.split(" s  ")[0]) for line in out.getvalue().splitlines()]
+    assert lines[:3] == [10.0, 20.0, 30.0]
+    assert lines[-1] - lines[-2] == 60.0
+    assert len(lines) < 160
+
+
+def test_without_a_router_the_plain_view_says_so() -> None:
+    seen = practising()
+    seen.link(False, 3.0)
+    assert progress_line(seen, 4.0) == "waiting for the router"
 
 
 class _Terminal(io.StringIO):

@@ -225,3 +225,51 @@ def test_of_many_forgotten_members_nothing_is_left_out_of_the_sum() -> None:
     seen.settle(2.0)
     seen.settle(20.0)
     assert seen.tally() == Tally(lost=MOST_LAST_WORDS + 5)
+
+
+def test_a_status_that_comes_before_its_token_does_not_hide_that_somebody_joined() -> None:
+    seen = picture()
+    seen.hear_status(status("actor-3"), 1.0)
+    seen.appeared("actor", "actor-3", 1.1)
+    seen.appeared("actor", "actor-3", 1.2)
+    assert list(seen.news) == ["actor-3 is there"]
+
+
+def test_the_router_has_no_token_and_is_forgotten_once_it_is_silent() -> None:
+    seen = picture()
+    for second in range(1, 30):
+        seen.hear_status(status("router-1"), float(second))
+        seen.settle(second + 0.5)
+    assert "router-1" in alive(seen)
+    seen.settle(35.0)
+    assert "router-1" in alive(seen)
+    seen.settle(41.0)
+    assert "router-1" not in alive(seen)
+    seen.hear_status(status("router-1"), 42.0)
+    assert "router-1" in alive(seen), "it was only out of reach"
+    for now_secs in (60.0, 80.0):
+        seen.settle(now_secs)
+    assert "router-1" not in [member.life for member in seen.members()]
+    assert list(seen.news) == []
+
+
+def test_cut_offs_are_the_routers_and_what_it_finds_to_be_garbage_is_not_counted_twice() -> None:
+    seen = picture()
+    said = "cut off actor.lab (192.0.2.7, 2 connections): 70 MB/s; it is kept out for 60 s"
+    seen.hear_status(
+        status("router-1", totals={"cut_off": 2}, refused={"malformed": 9}, last_error=said), 1.0
+    )
+    seen.hear_status(status("policy_learner-1", refused={"malformed": 9}), 1.0)
+    assert seen.tally() == Tally(refused=9, cut_off=2)
+    assert list(seen.news) == [f"router-1: {said}"]
+
+
+def test_cpu_seconds_are_those_last_heard_also_of_the_gone() -> None:
+    seen = picture()
+    for secs in (1.0, 2.0):
+        seen.hear_status(status("actor-1", metrics={"cpu_secs": 10 * secs}), secs)
+        seen.hear_status(status("actor-2", metrics={"cpu_secs": secs}), secs)
+    seen.vanished("actor-1", 5.0)
+    for now_secs in (5.5, 20.0):
+        seen.settle(now_secs)
+    assert seen.cpu_secs() == {"actor-1": 20.0, "actor-2": 2.0}

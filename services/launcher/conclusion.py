@@ -1,0 +1,77 @@
+"""The end of a run for people: its scores, its report, and where all of it is."""
+
+import os
+import shutil
+import signal
+import sys
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+
+from services.launcher.lines import Row, best_words, brief, score_table
+from services.launcher.run_folder import RunFolder
+from services.runtime.checkpoint import DRAFT_SUFFIX
+
+MOST_COLUMNS = 100
+MOST_ITERATIONS = 20
+"""Of each block, in the table of scores at the end; the one that is kept is shown besides."""
+
+
+def print_scores(folder: RunFolder) -> None:
+    """The scores in the run's folder, and which iteration is kept. Raises `UserError` if they are damaged."""
+    print_rows(folder.scores(), folder.best(), f"{folder.shown}/scores.jsonl")
+
+
+def print_rows(rows: Sequence[Row], best: Mapping[str, Row], where: str) -> None:
+    """The newest rows, `where` all of them are, and which iteration is kept."""
+    shown = brief(rows, best, MOST_ITERATIONS)
+    print("\n".join(score_table(shown)))
+    if len(shown) < len(rows):
+        print(f"{len(rows) - len(shown):,} older rows are in {where}")
+    width = min(MOST_COLUMNS, shutil.get_terminal_size().columns)
+    for sentence in best_words(best):
+        print(textwrap.fill(sentence, width, subsequent_indent="  "), flush=True)
+
+
+def say_how_to_see_it(folder: RunFolder) -> None:
+    """How to see the recording again, if there is one."""
+    if folder.recorded():
+        print(f"see it again with: babble view {folder.shown}", flush=True)
+
+
+def write_and_say(folder: RunFolder, *, rollouts: bool) -> None:
+    """Write the report and say where the files are. Raises `UserError`."""
+    from services.launcher.report import write_report
+
+    report = write_report(folder.path, rollouts=rollouts)
+    print(f"all files are in {folder.shown}; read {report.name} first")
+    say_how_to_see_it(folder)
+
+
+@contextmanager
+def left_out_by(*numbers: signal.Signals, folder: RunFolder, code: int = 0) -> Iterator[None]:
+    """While a report is written these signals end this process at once, without half-written files.
+
+    The exit code is `code`, or 128 and the signal's number if that is 0. Afterwards they no longer do
+    anything. No KeyboardInterrupt, because libraries turn one that hits them while they are imported into
+    errors and tracebacks of their own.
+    """
+
+    def leave(number: int, _: object) -> None:
+        sentence = f"\nthe report was not written; babble report {folder.shown} does it later\n"
+        with suppress(OSError):
+            for draft in folder.path.rglob(f".*.{os.getpid()}{DRAFT_SUFFIX}"):
+                draft.unlink()
+        with suppress(OSError):
+            os.write(sys.stdout.fileno(), sentence.encode())
+        os._exit(code or 128 + number)
+
+    sys.stdout.flush()
+    for number in numbers:
+        signal.signal(number, leave)
+    try:
+        yield
+    finally:
+        # All is said and done but the interpreter's own end, which would answer with a traceback.
+        for number in numbers:
+            signal.signal(number, signal.SIG_IGN)
