@@ -6,7 +6,7 @@ SCENARIO ?= scenarios/cuboid.toml
 BIN := .venv/bin
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help setup up test check test-slow format bench clean
+.PHONY: help setup up test check test-slow test-compose format bench clean
 
 help:
 	@echo "make setup      prepare .venv from uv.lock (about 5 GB, nearly all torch's CUDA wheels)"
@@ -14,6 +14,7 @@ help:
 	@echo "make test       checks and all tests but the slow ones"
 	@echo "make check      format, lint, types, import contracts"
 	@echo "make test-slow  full experiments and soak runs (tens of minutes)"
+	@echo "make test-compose  those of them with containers; they need a Docker engine (about 10 minutes)"
 	@echo "make bench      speed and memory as ratios (minutes)"
 
 setup: $(BIN)/.ready
@@ -38,6 +39,9 @@ test: check
 
 test-slow: setup
 	$(BIN)/python -m pytest -m slow --timeout 3600
+
+test-compose: setup
+	$(BIN)/python -m pytest -m compose --timeout 3600
 
 bench: setup
 	$(BIN)/python -m bench
