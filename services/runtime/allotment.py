@@ -1,11 +1,19 @@
 """Who may send how many more segments: demand shared among the actors that are there (pure).
 
 A learner wants a number of columns (one column = one world's segment). It grants segments one by
-one to the least burdened actors, counts what is under way, and grants anew what a lost or stuck
-actor owes. So actors produce what is wanted and nothing else, whatever their number and speed.
+one to the actor that should deliver it first, by what each took for its last ones, counts what is
+under way, and grants anew what a lost or stuck actor owes. So actors produce what is wanted and
+nothing else, whatever their number and speed, and a rollout does not wait for the slowest of them.
 """
 
 from dataclasses import dataclass
+
+NEWEST_SHARE = 0.3
+"""Of the newest measurement in an actor's mean time per segment."""
+FORGET_SECS = 5.0
+"""An actor that was asked for nothing so long is tried again, since it may not be slow any more."""
+SHORTEST_SECS = 1e-3
+"""Of a segment; below it actors count as equally fast."""
 
 
 @dataclass
@@ -16,6 +24,14 @@ class _Sender:
     granted_in_term: int = 0
     since_secs: float = 0.0
     """When it last delivered or was granted something after owing nothing."""
+    segment_secs: float | None = None
+    """Mean time of a segment in this term; None while that is not known."""
+
+    def note_delivery(self, segments: int, now_secs: float) -> None:
+        """It has delivered so many more."""
+        newest_secs = max(SHORTEST_SECS, (now_secs - self.since_secs) / segments)
+        before_secs = newest_secs if self.segment_secs is None else self.segment_secs
+        self.segment_secs = before_secs + NEWEST_SHARE * (newest_secs - before_secs)
 
     @property
     def owed(self) -> int:
@@ -47,6 +63,7 @@ class Allotment:
         for sender in self._senders.values():
             sender.granted = sender.upto
             sender.granted_in_term = 0
+            sender.segment_secs = None
 
     def appeared(self, life: str, upto: int, now_secs: float) -> None:
         """A sender is there (again), of whom all segments below `upto` are held."""
@@ -63,6 +80,8 @@ class Allotment:
         The last segment of a sender that is gone may come after the news of it: it stays gone.
         """
         if (sender := self._senders.get(life)) is not None:
+            if upto > sender.upto and sender.owed:
+                sender.note_delivery(upto - sender.upto, now_secs)
             sender.upto = max(sender.upto, upto)
             sender.columns = columns
             sender.since_secs = now_secs
@@ -72,7 +91,7 @@ class Allotment:
         uncovered = self.missing_columns - sum(
             s.owed * s.columns for s in self._senders.values() if self._trusted(s, now_secs)
         )
-        while uncovered > 0 and (life := self._least_burdened(now_secs)) is not None:
+        while uncovered > 0 and (life := self._soonest(now_secs)) is not None:
             sender = self._senders[life]
             if sender.owed == 0:
                 sender.since_secs = now_secs
@@ -88,10 +107,15 @@ class Allotment:
     def _trusted(self, sender: _Sender, now_secs: float) -> bool:
         return sender.owed == 0 or now_secs - sender.since_secs <= self._patience_secs
 
-    def _least_burdened(self, now_secs: float) -> str | None:
-        able = [
-            (s.owed, s.granted_in_term, life)
-            for life, s in self._senders.items()
-            if s.owed < self._window and self._trusted(s, now_secs)
-        ]
-        return min(able)[2] if able else None
+    def _soonest(self, now_secs: float) -> str | None:
+        """Who should deliver one more segment first; who is not known to be slow counts as the fastest."""
+        known = [s.segment_secs for s in self._senders.values() if s.segment_secs is not None]
+        fastest_secs = min(known, default=SHORTEST_SECS)
+        able = []
+        for life, sender in self._senders.items():
+            if sender.owed >= self._window or not self._trusted(sender, now_secs):
+                continue
+            idle = sender.owed == 0 and now_secs - sender.since_secs > FORGET_SECS
+            each_secs = fastest_secs if idle or sender.segment_secs is None else sender.segment_secs
+            able.append(((sender.owed + 1) * each_secs, sender.owed, sender.granted_in_term, life))
+        return min(able)[3] if able else None

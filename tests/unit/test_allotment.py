@@ -35,6 +35,43 @@ def test_the_window_bounds_what_one_actor_owes() -> None:
     assert allotment.grant(0.5) == {"a": 4}
 
 
+def test_a_rollout_does_not_wait_for_an_actor_four_times_as_slow() -> None:
+    """16 columns are two segments: the fast one's two come before the slow one's first."""
+    allotment = fresh()
+    for life in ("fast", "slow"):
+        allotment.appeared(life, 0, 0.0)
+    allotment.want(16)
+    assert allotment.grant(0.0) == {"fast": 1, "slow": 1}, "nobody is known to be slow yet"
+    allotment.received("fast", upto=1, columns=8, now_secs=0.1)
+    allotment.received("slow", upto=1, columns=8, now_secs=0.4)
+    assert allotment.grant(0.5) == {"fast": 3, "slow": 1}
+
+
+def test_an_actor_half_as_fast_gets_its_share() -> None:
+    allotment = fresh()
+    for life in ("fast", "slow"):
+        allotment.appeared(life, 0, 0.0)
+    allotment.want(16)
+    allotment.grant(0.0)
+    allotment.received("fast", upto=1, columns=8, now_secs=0.1)
+    allotment.received("slow", upto=1, columns=8, now_secs=0.2)
+    allotment.want(24)
+    assert allotment.grant(0.5) == {"fast": 3, "slow": 2}
+
+
+def test_an_actor_that_was_slow_once_is_tried_again() -> None:
+    allotment = fresh()
+    for life in ("fast", "slow"):
+        allotment.appeared(life, 0, 0.0)
+    allotment.want(16)
+    allotment.grant(0.0)
+    allotment.received("fast", upto=1, columns=8, now_secs=0.1)
+    allotment.received("slow", upto=1, columns=8, now_secs=9.0)
+    assert allotment.grant(9.1)["slow"] == 1
+    allotment.received("fast", upto=3, columns=8, now_secs=9.2)
+    assert allotment.grant(15.0)["slow"] == 2
+
+
 def test_what_a_vanished_actor_owes_is_granted_to_the_others() -> None:
     allotment = fresh()
     for life in ("a", "b"):
