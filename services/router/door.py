@@ -3,15 +3,15 @@
 import logging
 import time
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from services.router.access import access_control
 from services.router.config import RouterConfig
 from services.router.hosts import WatchedFile, read_hosts
+from services.router.sockets import connections, cut, hurry
 from services.runtime.credentials import Credential, credential_for
 from services.runtime.errors import BusError, UserError
-from services.runtime.transport import parse_address
-from services.runtime.zenoh_bus import Router, RouterLink, open_router
+from services.runtime.zenoh_bus import Router, open_router
 
 log = logging.getLogger(__name__)
 
@@ -62,17 +62,20 @@ class Door:
             return False
         log.info("opening anew: %s", _difference(self.hosts, hosts) or "the router's own credential is new")
         self._credential, self.hosts = credential, hosts
-        self.router.close()
+        self._leave()
         self.router = self._open_again()
         return True
-
-    def watch_links(self, hear: Callable[[RouterLink], None]) -> None:
-        """Call `hear` with each connection that is there and each that is made, on the transport's thread."""
-        self._listeners = _listen_to_links(self.router, hear)
 
     def close(self) -> None:
         """Leave all clients."""
         self.router.close()
+
+    def _leave(self) -> None:
+        """Close the router, with nobody left behind in it: not who takes nothing, not who came meanwhile."""
+        hurry()
+        self.router.close()
+        for peer, connection in connections().items():
+            cut(peer, connection)
 
     def _new_credential(self) -> Credential | None:
         return credential_for("router", self._listen, self._credential_path)
@@ -106,12 +109,3 @@ class Door:
 def _difference(before: frozenset[str], after: frozenset[str]) -> str:
     parts = [("added", after - before), ("taken out", before - after)]
     return "; ".join(f"{what} {', '.join(sorted(hosts))}" for what, hosts in parts if hosts)
-
-
-def _listen_to_links(router: Router, hear: Callable[[RouterLink], None]) -> object:
-    def tell(event: Any) -> None:
-        if str(event.kind).endswith("PUT"):
-            address = parse_address(event.link.dst)
-            hear(RouterLink(event.link.auth_identifier, address.host, address.port))
-
-    return router._session.info.declare_link_events_listener(tell, history=True)

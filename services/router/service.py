@@ -70,7 +70,6 @@ class RouterService:
         self._runs.attach(self._door.router)
         if self._watch is not None:
             self._watch.attach(self._door.router, self._door.hosts)
-            self._door.watch_links(self._watch.greet)
 
     def _report(self) -> dict[str, Any]:
         if self._watch is not None:

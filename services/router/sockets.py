@@ -13,7 +13,6 @@ import socket
 import stat
 import struct
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 FOLDER = "/proc/self/fd" if os.path.isdir("/proc/self/fd") else "/dev/fd"
@@ -23,8 +22,10 @@ TCP_INFO_BYTES = 136
 BYTES_RECEIVED_OFFSET = 128
 """of `tcpi_bytes_received`, 64 bits, in struct tcp_info (linux/tcp.h; since Linux 4.1)"""
 MOST_FILES = 65536
-SO_ATTACH_FILTER, SO_DETACH_FILTER = 26, 27
-"""asm-generic/socket.h; Python does not name them"""
+SO_ATTACH_FILTER = 26
+"""asm-generic/socket.h; Python does not name it"""
+NO_LINGER = struct.pack("@ii", 1, 0)
+"""Zenoh lets sockets linger: closing one whose other end takes nothing would hold up a thread for 10 s."""
 
 Peer = tuple[str, int]
 """The other end: address and port."""
@@ -71,13 +72,21 @@ def cut(peer: Peer, connection: Connection) -> bool:
     The transport notices and tidies up. A descriptor that has become another one's is left alone.
     """
     done = False
-    for own in _sockets(peer, connection):
-        with contextlib.suppress(OSError):
-            own.shutdown(socket.SHUT_RDWR)
-            done = True
-            # If it was mute: both ends must hear each other's farewell.
-            own.setsockopt(socket.SOL_SOCKET, SO_DETACH_FILTER, 0)
+    for file in connection.files:
+        with contextlib.suppress(OSError), _borrowed(file) as own:
+            if _peer(own) == peer:
+                own.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, NO_LINGER)
+                own.shutdown(socket.SHUT_RDWR)
+                done = True
     return done
+
+
+def hurry() -> None:
+    """Let no connection of this process linger when it is closed."""
+    for connection in connections().values():
+        for file in connection.files:
+            with contextlib.suppress(OSError), _borrowed(file) as own:
+                own.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, NO_LINGER)
 
 
 def mute(peer: Peer) -> bool:
@@ -89,10 +98,11 @@ def mute(peer: Peer) -> bool:
     if sys.platform != "linux":
         return False
     # Of many, the newest have the highest numbers; one descriptor of the socket will do.
-    for name in sorted(map(int, os.listdir(FOLDER)), reverse=True):
-        with contextlib.suppress(OSError), _borrowed(name) as own:
+    for file in sorted(map(int, os.listdir(FOLDER)), reverse=True):
+        with contextlib.suppress(OSError), _borrowed(file) as own:
             if _peer(own) == peer:
                 program = struct.pack("@HP", 1, ctypes.addressof(_DROP_ALL))
+                own.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, NO_LINGER)
                 own.setsockopt(socket.SOL_SOCKET, SO_ATTACH_FILTER, program)
                 return True
     return False
@@ -115,14 +125,6 @@ def allow_many() -> None:
     if least != resource.RLIM_INFINITY and least < wanted:
         with contextlib.suppress(ValueError, OSError):
             resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, most))
-
-
-def _sockets(peer: Peer, connection: Connection) -> Iterator[socket.socket]:
-    """The sockets of a connection, as far as its descriptors are still its own."""
-    for file in connection.files:
-        with contextlib.suppress(OSError), _borrowed(file) as own:
-            if _peer(own) == peer:
-                yield own
 
 
 def _borrowed(file: int) -> socket.socket:

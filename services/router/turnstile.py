@@ -71,6 +71,12 @@ class Turnstile:
                     with self._guard:
                         self._count(identity)
 
+    def let_go(self, peer: Peer, connection: Connection) -> None:
+        """Cut a connection of nobody known."""
+        if self._shut(peer, connection):
+            with self._guard:
+                self.turned_away += 1
+
     def knocks(self, identity: str) -> int:
         """How many of its connections were ended since the last call."""
         with self._guard:

@@ -18,7 +18,7 @@ from services.router.sockets import COUNTS_BYTES, Connection, Peer, connections,
 from services.router.turnstile import Turnstile
 from services.runtime.bus import Arrival, Inbox, Membership
 from services.runtime.credentials import ACTOR, ROUTER, role_and_host
-from services.runtime.zenoh_bus import RouterLink
+from services.runtime.transport import RouterLink
 
 log = logging.getLogger(__name__)
 
@@ -30,6 +30,8 @@ MOST_CHANGES = 1 << 16
 AGAIN_SECS = 60.0
 """That somebody unlisted knocks, or that the kernel refuses, is said so often at most."""
 SHOWN_ADDRESSES = 3
+SILENT_SECS = 8.0
+"""Who connects, and by then has not said who he is, is let go."""
 
 
 class Doorway(Protocol):
@@ -45,6 +47,10 @@ class Doorway(Protocol):
 
     def watch(self, key_expr: str, inbox: Inbox) -> None:
         """See `Router.watch`."""
+        ...
+
+    def watch_links(self, hear: Callable[[RouterLink], None]) -> None:
+        """See `Router.watch_links`."""
         ...
 
 
@@ -89,6 +95,8 @@ class Watch:
         self._told_secs: dict[str, float] = {}
         self._received: dict[Peer, int] = {}
         self._connections = 0
+        self._nameless_secs: dict[Peer, float] = {}
+        """since when a connection is there and none of the router's links"""
         self._looked_secs = float("-inf")
         self._samples = Samples()
         self._changes = _Tokens(self._token_came)
@@ -110,12 +118,7 @@ class Watch:
         doorway.hear(keys.segment("*", "*", "*", "*"), self._samples)
         doorway.hear(keys.status("*", ACTOR, "*"), self._samples)
         doorway.watch(keys.alive("*", ACTOR, "*"), self._changes)
-
-    def greet(self, link: RouterLink) -> None:
-        """A connection was just made (called on the transport's thread): the unwelcome are not heard."""
-        identity = link.identity or ""
-        if not self._is_welcome(identity):
-            self._turnstile.stop(identity, peer_of(link.host, link.port))
+        doorway.watch_links(self._greet)
 
     def poll(self, now_secs: float) -> None:
         """Look, judge, cut; wanted each POLL_SECS."""
@@ -128,6 +131,7 @@ class Watch:
         self._look_for_garbage(now_secs)
         self._judge(links, now_secs)
         self._turn_away(links, found, now_secs)
+        self._let_go_of_nameless(found, now_secs)
         self._let_in_again(now_secs)
 
     def report(self) -> dict[str, Any]:
@@ -140,6 +144,12 @@ class Watch:
             "unchecked": self._samples.dropped,
         }
         return {"totals": {**self.totals, **now}, "refused": self.refused, "last_error": self.last_error}
+
+    def _greet(self, link: RouterLink) -> None:
+        """A connection was just made (called on the transport's thread): the unwelcome are not heard."""
+        identity = link.identity or ""
+        if not self._is_welcome(identity):
+            self._turnstile.stop(identity, peer_of(link.host, link.port))
 
     def _token_came(self, key: str) -> None:
         identity = _identity(host_of(key) or "")
@@ -225,6 +235,13 @@ class Watch:
         for identity, peers in unwelcome.items():
             if not self._is_listed(identity):
                 self._say_unlisted(identity, peers, now_secs)
+
+    def _let_go_of_nameless(self, found: dict[Peer, Connection], now_secs: float) -> None:
+        nameless = found.keys() - self._received.keys()
+        self._nameless_secs = {peer: self._nameless_secs.get(peer, now_secs) for peer in nameless}
+        for peer, since_secs in self._nameless_secs.items():
+            if now_secs - since_secs > SILENT_SECS:
+                self._turnstile.let_go(peer, found[peer])
 
     def _say_unlisted(self, identity: str, peers: list[Peer], now_secs: float) -> None:
         if self._is_news(f"unlisted {identity}", now_secs):

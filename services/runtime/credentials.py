@@ -197,15 +197,16 @@ def _checked(
         key = load_pem_private_key(key_pem, password=None)
         certificate = x509.load_pem_x509_certificate(certificate_pem)
         authority = x509.load_pem_x509_certificate(authority_pem)
-    except (ValueError, TypeError, UnsupportedAlgorithm):
+        fits = key.public_key() == certificate.public_key()
+    except (ValueError, TypeError, UnsupportedAlgorithm, x509.InvalidVersion):
         raise CredentialError(
             f"{path} is damaged: its key or a certificate cannot be read; {again}"
         ) from None
-    if key.public_key() != certificate.public_key():
+    if not fits:
         raise CredentialError(f"the private key in {path} is not that of its certificate; {again}")
     try:
         certificate.verify_directly_issued_by(authority)
-    except (ValueError, TypeError, InvalidSignature):
+    except (ValueError, TypeError, InvalidSignature, UnsupportedAlgorithm):
         raise CredentialError(
             f"the certificate in {path} is not signed by the authority in the same file; {again}"
         ) from None

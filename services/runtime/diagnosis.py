@@ -21,9 +21,11 @@ ALERT_SECS = 1.0
 NOT_YET_VALID, HAS_EXPIRED, WRONG_PURPOSE, WRONG_NAMES = {9}, {10}, {26}, {62, 64}
 """OpenSSL's verification errors (X509_V_ERR_*) that mean more than "signed by somebody else"."""
 MOST_NAMES = 8
-ENTER_SECS = 2.0
-"""A router that does not let a process in cuts its connection sooner than that."""
-SHORT_SECS, SHORT_VISITS = 1.5, 3
+QUIET_SECS = 3.0
+"""A router that does not let a process in cuts its connections sooner than that."""
+CUTS_OF_A_RESTART = 2
+"""A router that is started again cuts both connections of a process once."""
+SHORT_SECS, SHORT_VISITS = 3.0, 3
 AGAIN_SECS = 60.0
 """A process that is turned away again and again says so once in so long."""
 
@@ -190,24 +192,22 @@ def _connected(address: Address) -> socket.socket:
     return connection
 
 
-def let_in(ask: Callable[[], bool], linked: Callable[[], bool]) -> bool:
-    """Whether a router lets this process stay: False if its door is silent, and it cuts the connection.
+def let_in(ask: Callable[[], bool], cuts: Callable[[], int]) -> bool:
+    """Whether a router lets this process stay: False if its door is silent, and it cuts connections.
 
-    A router of another kind has no door and lets the connection be.
+    `ask` at the door; `cuts` so far. A router of another kind has no door and lets connections be.
     """
-    for _ in range(2):
-        if ask() or not _wait_until(lambda: not linked()):
+    before = seen = cuts()
+    quiet_since = time.monotonic()
+    while not ask():
+        if cuts() - before > CUTS_OF_A_RESTART:
+            return False
+        if cuts() != seen:
+            seen, quiet_since = cuts(), time.monotonic()
+        if time.monotonic() - quiet_since > QUIET_SECS:
             return True
-        _wait_until(linked)
-    return False
-
-
-def _wait_until(true: Callable[[], bool]) -> bool:
-    """Whether it became true within ENTER_SECS."""
-    deadline = time.monotonic() + ENTER_SECS
-    while not true() and time.monotonic() < deadline:
-        time.sleep(0.01)
-    return true()
+        time.sleep(0.05)
+    return True
 
 
 class ShortVisits:

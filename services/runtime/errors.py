@@ -9,6 +9,10 @@ class BusError(UserError):
     """The router cannot be reached, an address cannot be used, or the bus was closed."""
 
 
+class RefusedError(BusError):
+    """Whoever answers at the router's address will never let this process in; waiting does not help."""
+
+
 class StorageError(UserError):
     """The disk refused a write or a read; nothing that was not written has been acknowledged."""
 

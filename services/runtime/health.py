@@ -46,7 +46,7 @@ def main(arguments: list[str]) -> int:
             well, sentence = judge(json.load(file), time.monotonic())
     except FileNotFoundError:
         well, sentence = False, f"not healthy: no word yet ({path} is not there)"
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         well, sentence = False, f"not healthy: cannot read {path} ({error})"
     print(sentence)
     return 0 if well else 1

@@ -27,6 +27,7 @@ from services.runtime.bus import Bus, Wakeup
 from services.runtime.clock import Clock, RealClock
 from services.runtime.credentials import add_credential_option, credential_for
 from services.runtime.errors import UserError
+from services.runtime.parser import OneLineParser
 
 log = logging.getLogger(__name__)
 
@@ -112,7 +113,7 @@ def run_process(
     process = _Process(service, build, arguments)
     process.signals.listen()
     code = guarded(service, process.run)
-    if process.outdated and code == 0:
+    if process.outdated and code == 0 and not process.signals.received:
         os.execv(sys.executable, sys.orig_argv)
     return code
 
@@ -286,7 +287,7 @@ def _parse(
     add_options: Callable[[argparse.ArgumentParser], None] | None,
     by_name: bool,
 ) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
+    parser = OneLineParser(
         prog=f"python -m services.{service}", description=f"The {service} of a run, as this process."
     )
     which = parser.add_mutually_exclusive_group(required=not by_name)

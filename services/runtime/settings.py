@@ -12,7 +12,11 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from protocol.messages import ALL_BLOCKS, MAX_CONFIG_CHARS, MAX_STEPS, Name
+from protocol.refusal import clip
 from services.runtime.errors import UserError
+
+LONGEST_SHOWN = 200
+"""So many characters of a wrong value, or of its key, get into a sentence."""
 
 Positive = Annotated[int, Field(ge=1)]
 PositiveFloat = Annotated[float, Field(gt=0)]
@@ -278,12 +282,12 @@ def parse(table: dict[str, Any], *, origin: str) -> RunSettings:
         return RunSettings.model_validate(table)
     except ValidationError as error:
         fault = error.errors(include_url=False, include_context=False)[0]
-        place = ".".join(str(part) for part in fault["loc"]) or "the file"
-        what = (
-            "is not a known key"
-            if fault["type"] == "extra_forbidden"
-            else f"{fault['msg'].lower()}, got {fault['input']!r}"
+        place = clip(".".join(str(part) for part in fault["loc"]), LONGEST_SHOWN) or "the file"
+        wrong, value = (
+            clip(fault["msg"].lower(), 2 * LONGEST_SHOWN),
+            clip(repr(fault["input"]), LONGEST_SHOWN),
         )
+        what = "is not a known key" if fault["type"] == "extra_forbidden" else f"{wrong}, got {value}"
         raise SettingsError(f"{origin}: {place}: {what}") from None
 
 

@@ -117,7 +117,7 @@ class _HealthFile:
     def __init__(self, path: Path, interval_secs: float) -> None:
         self._path = path
         # Several processes may be given one file, and each writes it whole.
-        self._draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
+        self._draft = path.parent / f".{path.name}.{os.getpid()}.draft"
         self._interval_secs = interval_secs
         self._written_secs = float("-inf")
         self._unlinked_secs: float | None = None

@@ -8,6 +8,7 @@ after 400 ms, well before a healthy client's lease ends.
 import base64
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Self
 
 from protocol.keys import MAX_FRAME_BYTES, ROOT
 from services.runtime.credentials import Credential
@@ -53,6 +54,22 @@ def parse_address(endpoint: str) -> Address:
     if not (protocol and slash and host and colon and port.isdecimal()):
         raise BusError(f"{endpoint!r} is not an address; it must look like tcp/127.0.0.1:7447")
     return Address(protocol, host.removeprefix("[").removesuffix("]"), int(port))
+
+
+@dataclass(frozen=True)
+class RouterLink:
+    """One client's connection, as the router sees it; a process has two."""
+
+    identity: str | None
+    """the common name of the client's certificate; None on plain TCP"""
+    host: str
+    port: int
+
+    @classmethod
+    def of(cls, identity: str | None, endpoint: str) -> Self:
+        """The connection with the client's end, such as "tls/10.1.2.3:40000"."""
+        address = parse_address(endpoint)
+        return cls(identity, address.host, address.port)
 
 
 def client_settings(endpoint: str, credential: Credential | None) -> Settings:

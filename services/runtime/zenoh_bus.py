@@ -10,7 +10,6 @@ import os
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import zenoh
@@ -23,6 +22,7 @@ from services.runtime.closing import close_with_main_thread
 from services.runtime.credentials import Credential
 from services.runtime.diagnosis import ShortVisits, diagnose, let_in, turned_away
 from services.runtime.errors import BusError
+from services.runtime.transport import RouterLink as RouterLink
 
 log = logging.getLogger(__name__)
 
@@ -65,6 +65,7 @@ class ZenohBus:
         self._lock = threading.Lock()
         self._closed = False
         self._up = {"control": False, "data": False}
+        self._cuts = 0
         self._visits = ShortVisits()
         self._turned_away = turned_away(endpoint, credential) if credential is not None else ""
         self._link_inboxes: list[Inbox] = []
@@ -79,7 +80,7 @@ class ZenohBus:
                 self._sessions[link] = session
                 self._up[link] = True
                 self._declared.append(_watch_transports(session, self._link_hearer(link)))
-            if credential is not None and not let_in(self._ask_at_door, self.linked):
+            if credential is not None and not let_in(self._ask_at_door, lambda: self._cuts):
                 raise BusError(self._turned_away)
         except BaseException:
             self.close()
@@ -175,13 +176,12 @@ class ZenohBus:
 
     def _undeclare_and_close(self) -> None:
         publishers = [publisher for _, publisher in self._publishers.values()]
-        for declared in [*self._declared, *publishers]:
+        leave = [declared.undeclare for declared in [*self._declared, *publishers]]
+        for step in [*leave, *(session.close for session in self._sessions.values())]:
             try:
-                declared.undeclare()
+                step()
             except zenoh.ZError as error:
-                log.debug("undeclaring at close: %s", error)
-        for session in self._sessions.values():
-            session.close()  # type: ignore[no-untyped-call]
+                log.debug("at close: %s", error)
 
     def _ask_at_door(self) -> bool:
         replies = self._sessions["control"].get(transport.DOOR, timeout=DOOR_SECS)
@@ -215,6 +215,7 @@ class ZenohBus:
             with self._lock:
                 before = all(self._up.values())
                 self._up[link] = up
+                self._cuts += not up
                 after = all(self._up.values())
                 if before == after or self._closed:
                     return
@@ -228,16 +229,6 @@ class ZenohBus:
         return hear
 
 
-@dataclass(frozen=True)
-class RouterLink:
-    """One client's connection, as the router sees it; a process has two."""
-
-    identity: str | None
-    """the common name of the client's certificate; None on plain TCP"""
-    host: str
-    port: int
-
-
 class Router:
     """A Zenoh router inside this process; `close` ends it."""
 
@@ -248,11 +239,16 @@ class Router:
 
     def links(self) -> list[RouterLink]:
         """The connections of all clients now."""
-        found = []
-        for link in self._session.info.links():
-            address = transport.parse_address(link.dst)
-            found.append(RouterLink(link.auth_identifier, address.host, address.port))
-        return found
+        return [RouterLink.of(link.auth_identifier, link.dst) for link in self._session.info.links()]
+
+    def watch_links(self, hear: Callable[[RouterLink], None]) -> None:
+        """Call `hear` with each connection there is and each that is made, on a thread of the transport."""
+
+        def tell(event: zenoh.LinkEvent) -> None:
+            if event.kind == zenoh.SampleKind.PUT:
+                hear(RouterLink.of(event.link.auth_identifier, event.link.dst))
+
+        self._declared.append(self._session.info.declare_link_events_listener(tell, history=True))
 
     def hear(self, key_expr: str, inbox: Inbox) -> None:
         """Put each `Frame` that clients may publish on matching keys into the inbox.

@@ -108,8 +108,8 @@ class Network:
 
     def __enter__(self) -> Self:
         """Raises `CannotLay` if the machine lacks something that hosts need."""
-        _new_namespace(self._switch)
         try:
+            _new_namespace(self._switch)
             self.switch("link", "add", "bridge", "type", "bridge")
             self.switch("link", "set", "bridge", "up")
             self.switch("link", "add", "probe", "type", "veth")

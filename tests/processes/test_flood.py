@@ -11,7 +11,7 @@ from protocol.codec import decode
 from protocol.messages import Status
 from services.runtime.bus import Arrival, Frame, Inbox, Wakeup
 from services.runtime.zenoh_bus import ZenohBus
-from tests.processes.credentials_stage import CredentialsStage
+from tests.processes.credentials_stage import CredentialsStage, GuardedRouter
 from tests.processes.owned import Owner, Process, wait_for
 
 pytestmark = pytest.mark.processes
@@ -108,7 +108,10 @@ class FloodedRun:
     def __init__(self, owner: Owner, folder: Path, *options: str) -> None:
         self.stage = CredentialsStage(folder)
         self.owner = owner
-        self.router = self.stage.router(owner, ["good", "evil"], *options)
+        hosts = folder / "hosts"
+        hosts.write_text("good\nevil\n")
+        credential = ("--credential", str(self.stage.path("router")))
+        self.router = GuardedRouter(owner, hosts, *credential, *options)
         self.segments, self._statuses = Gaps(), Inbox()
         self.buses: list[ZenohBus] = []
         learner = self.join("encoder_learner")

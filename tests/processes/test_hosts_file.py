@@ -10,7 +10,7 @@ from protocol.codec import encode
 from protocol.messages import Status
 from services.runtime.bus import Frame, Inbox, Wakeup
 from services.runtime.zenoh_bus import ZenohBus
-from tests.processes.credentials_stage import CredentialsStage
+from tests.processes.credentials_stage import CredentialsStage, GuardedRouter
 from tests.processes.owned import Owner, wait_for
 
 pytestmark = pytest.mark.processes
@@ -25,7 +25,9 @@ class Lab:
     def __init__(self, owner: Owner, folder: Path) -> None:
         self.stage = CredentialsStage(folder)
         self.credential = self.stage.path("router")
-        self.router = self.stage.router(owner, ["old"], "--credential", str(self.credential))
+        hosts = folder / "hosts"
+        hosts.write_text("old\n")
+        self.router = GuardedRouter(owner, hosts, "--credential", str(self.credential), "--hosts", str(hosts))
         self.buses: list[ZenohBus] = []
         self._heard = Inbox()
         listener = self.join("dashboard", "dashboard-00000001")

@@ -67,6 +67,14 @@ class RemoteRun(DistributedRun):
         for name in ("coordinator", *LEARNERS):
             self.start(name)
 
+    def begin_again(self, run_dir: Path, config: str) -> None:
+        """Everything but actors of another run, which has the name of this one."""
+        run_dir.mkdir()
+        shutil.copy(self.run_dir / "run.json", run_dir / "run.json")
+        (run_dir / "config.toml").write_text(config)
+        self.run_dir = run_dir
+        self.start_home()
+
     def env_steps(self, process: Process) -> int:
         """What the process says it has done, in its present life."""
         life = life_of(process)
@@ -107,17 +115,26 @@ def said(process: Process, words: str) -> bool:
 
 
 def test_actors_that_know_only_the_runs_name_do_all_its_work(owner: Owner, tmp_path: Path) -> None:
-    run = RemoteRun(owner, tmp_path)
+    first, second = tmp_path / "first", tmp_path / "second"
+    first.mkdir()
+    run = RemoteRun(owner, first, LONGER)
     early = run.join("actor-early")
     wait_for("an actor without a coordinator", lambda: said(early, "waiting for the settings"))
-    run.start_home()
+    run.start("coordinator")
+    wait_for("an actor that knows the settings", lambda: life_of(early))
+    before = life_of(early)
+    run.kill("coordinator")
+    run.begin_again(second, TINY)
     run.join("actor-late")
     run.end()
+    assert life_of(early) != before, "the run of its name is another one"
     assert [row["policy"] for row in run.scores()] == ["mean", "sampled"] * 2
+    run.statuses().pop(before, None)
     run.assert_nothing_lost_or_counted_twice()
     assert {text.split("-")[0] for text in run.events("joined")} >= {"actor"}
 
 
+@pytest.mark.slow
 def test_actors_of_different_speed_share_the_work_and_come_and_go(owner: Owner, tmp_path: Path) -> None:
     run = RemoteRun(owner, tmp_path, LONGER)
     run.start("coordinator")
@@ -140,31 +157,6 @@ def test_actors_of_different_speed_share_the_work_and_come_and_go(owner: Owner, 
     run.assert_nothing_lost_or_counted_twice()
 
 
-def test_babble_actor_looks_after_its_actors_until_the_run_is_done(owner: Owner, tmp_path: Path) -> None:
-    run = RemoteRun(owner, tmp_path, LONGER)
-    run.start("coordinator")
-    crew = run.running["crew"] = babble_actor(owner, run.router, RUN, "--count", "2")
-    misled = babble_actor(owner, run.router, "crash-tset", "--count", "3")
-    wait_for("two actors", lambda: len(lives(crew)) == 2)
-    victim = psutil.Process(crew.pid).children()[0]
-    victim.kill()
-    wait_for("a third life", lambda: len(lives(crew)) == 3)
-    for learner in LEARNERS:
-        run.start(learner)
-    run.end()
-    assert said(crew, "babble actor: actor 1 was killed by SIGKILL; it is started again in 0.25 s")
-    assert crew.err[-1] == f"babble actor: all actors have ended in order, for run {RUN} is done"
-    worked = {life for life, status in run.statuses().items() if status.totals.get("env_steps")}
-    assert len(worked & lives(crew)) == 2
-    run.assert_nothing_lost_or_counted_twice()
-    assert misled.ended(40.0) == 2
-    assert [line for line in misled.err if "no run" in line] == [
-        f"babble actor: no run 'crash-tset' is announced at {run.router.endpoint} (there is '{RUN}'): check "
-        "--run (the run's name, see `babble status` there), or the coordinator is not up yet"
-    ]
-    assert misled.err[-1].startswith("babble actor: no run")
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_babble_actor_ends_within_seconds_and_leaves_nobody_behind(
     owner: Owner, tmp_path: Path, router: RunningRouter, number: signal.Signals
@@ -181,34 +173,48 @@ def test_babble_actor_ends_within_seconds_and_leaves_nobody_behind(
     assert not any("Traceback" in line for line in crew.err)
 
 
-def test_actors_of_a_host_with_a_credential_join_through_a_closed_door(owner: Owner, tmp_path: Path) -> None:
+def test_babble_actor_looks_after_the_actors_of_a_host_behind_a_closed_door(
+    owner: Owner, tmp_path: Path
+) -> None:
     stage = CredentialsStage(tmp_path / "certs")
     guarded = stage.router(owner, ["lab"])
     home = tmp_path / "run"
     home.mkdir()
     (home / "config.toml").write_text(TINY)
     (home / "run.json").write_text(json.dumps({"run": RUN}))
-    running = [
-        owner.start_service(
+
+    def start(name: str) -> Process:
+        return owner.start_service(
             name,
             *("--run-dir", str(home), "--connect", guarded.endpoint),
             *("--credential", str(stage.path(name))),
         )
-        for name in ("coordinator", *LEARNERS)
-    ]
-    told = ("--run", RUN, "--connect", guarded.endpoint, "--credential", str(stage.path("actor.lab")))
-    crew = owner.start("babble actor", "-m", "services.launcher", "actor", *told, "--count", "2")
-    for process in (*running, crew):
+
+    shown = ("--credential", str(stage.path("actor.lab")))
+    running = [start("coordinator"), babble_actor(owner, guarded, RUN, *shown, "--count", "2")]
+    misled = babble_actor(owner, guarded, "crash-tset", *shown, "--count", "3")
+    crew = running[1]
+    wait_for("two actors", lambda: len(lives(crew)) == 2)
+    psutil.Process(crew.pid).children()[0].kill()
+    wait_for("a third life", lambda: len(lives(crew)) == 3)
+    running += map(start, LEARNERS)
+    for process in running:
         assert process.ended(RUN_SECS) == 0, process.report()
-    assert len(lives(crew)) == 2
+    assert said(crew, "babble actor: actor 1 was killed by SIGKILL; it is started again in 0.25 s")
+    assert crew.err[-1] == f"babble actor: all actors have ended in order, for run {RUN} is done"
     assert all(life.startswith("actor-lab-") for life in lives(crew))
-    best = json.loads((home / "best.json").read_text())
-    assert "body" in best
     learned = Checkpoints(home / "checkpoints" / "encoder_learner").newest()
     assert learned is not None
     streams = json.loads(learned[1]["book"])["ledger"]["streams"]  # type: ignore[index]
     assert {life for life, *_ in streams} <= lives(crew)
     assert streams
+    assert "body" in json.loads((home / "best.json").read_text())
+    assert misled.ended(40.0) == 2
+    assert [line for line in misled.err if "no run" in line] == [
+        f"babble actor: no run 'crash-tset' is announced at {guarded.endpoint} (there is '{RUN}'): check "
+        "--run (the run's name, see `babble status` there), or the coordinator is not up yet"
+    ]
+    assert misled.err[-1].startswith("babble actor: no run")
 
 
 def test_a_stop_while_waiting_ends_at_once(owner: Owner, router: RunningRouter) -> None:
@@ -245,7 +251,8 @@ def test_a_model_file_that_is_not_on_this_host_is_named(
     )
 
 
-def test_when_the_run_is_begun_again_under_its_name_the_actors_of_before_take_part(
+@pytest.mark.slow
+def test_when_the_run_is_begun_again_in_its_middle_under_its_name_the_actors_of_before_take_part(
     owner: Owner, tmp_path: Path
 ) -> None:
     first, second = tmp_path / "first", tmp_path / "second"
@@ -257,11 +264,7 @@ def test_when_the_run_is_begun_again_under_its_name_the_actors_of_before_take_pa
     before = life_of(remote)
     for name in ("coordinator", *LEARNERS):
         run.kill(name)
-    second.mkdir()
-    shutil.copy(first / "run.json", second / "run.json")
-    (second / "config.toml").write_text(TINY)
-    run.run_dir = second
-    run.start_home()
+    run.begin_again(second, TINY)
     run.end()
     assert life_of(remote) not in ("", before)
     assert said(remote, "beginning anew")

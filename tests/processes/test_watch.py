@@ -83,16 +83,19 @@ def test_a_completed_run_is_told_at_once_and_reported_if_it_is_not_yet(
     assert (folder / "report.md").stat().st_mtime_ns == written
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_it_leaves_at_once_with_or_without_a_router(
-    owner: Owner, babble: Babble, router: RunningRouter, number: signal.Signals
+    owner: Owner, babble: Babble, router: RunningRouter
 ) -> None:
-    unlinked = babble("watch", "nosuch", "--connect", f"tcp/127.0.0.1:{free_port()}")
-    linked = babble("watch", "nosuch", "--connect", router.endpoint)
-    unlinked.expect("no router answered", START_SECS)
+    numbers = (signal.SIGTERM, signal.SIGINT)
+    nobody = f"tcp/127.0.0.1:{free_port()}"
+    unlinked = [(babble("watch", "nosuch", "--connect", nobody), number) for number in numbers]
+    linked = [(babble("watch", "nosuch", "--connect", router.endpoint), number) for number in numbers]
+    for watcher, _ in unlinked:
+        watcher.expect("no router answered", START_SECS)
     # With nothing to hear it says after a while that it waits, so it is listening by then.
-    linked.expect("waiting for the coordinator", START_SECS)
-    for watcher in (unlinked, linked):
+    for watcher, _ in linked:
+        watcher.expect("waiting for the coordinator", START_SECS)
+    for watcher, number in unlinked + linked:
         asked_secs = time.monotonic()
         watcher.interrupt(number)
         assert watcher.ended(LEAVE_SECS) == 128 + number, watcher.report()
@@ -116,14 +119,18 @@ print("went on")
 """
 
 
-@pytest.mark.parametrize("where", ["matplotlib", "matplotlib.backends.backend_agg", "pyarrow"])
-def test_docker_stop_during_the_report_leaves_no_half_of_it(owner: Owner, tmp_path: Path, where: str) -> None:
-    folder = write_run(tmp_path / "run", [good()])
-    process = owner.start_code("watch", INTERRUPTED, where, str(folder))
-    assert process.ended(START_SECS) == 128 + signal.SIGTERM, process.report()
-    assert process.err == []
-    assert process.out[-1] == f"the report was not written; babble report {folder} does it later"
-    assert not list(folder.rglob("*.draft"))
+def test_docker_stop_during_the_report_leaves_no_half_of_it(owner: Owner, tmp_path: Path) -> None:
+    places = ("matplotlib", "matplotlib.backends.backend_agg", "pyarrow")
+    folders = [write_run(tmp_path / where, [good()]) for where in places]
+    started = [
+        owner.start_code("watch", INTERRUPTED, where, str(folder))
+        for where, folder in zip(places, folders, strict=True)
+    ]
+    for process, folder in zip(started, folders, strict=True):
+        assert process.ended(START_SECS) == 128 + signal.SIGTERM, process.report()
+        assert process.err == []
+        assert process.out[-1] == f"the report was not written; babble report {folder} does it later"
+        assert not list(folder.rglob("*.draft"))
 
 
 def test_what_cannot_be_watched_is_one_sentence_and_code_2(babble: Babble, tmp_path: Path) -> None:

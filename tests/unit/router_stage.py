@@ -1,10 +1,13 @@
 """A router that a test plays: its connections, what is heard on it, and the kernel below it."""
 
+from collections import defaultdict
+from collections.abc import Callable
+
 from services.router.config import Limits
 from services.router.sockets import Connection, Peer
 from services.router.watch import Watch
 from services.runtime.bus import Frame, Inbox, Membership
-from services.runtime.zenoh_bus import RouterLink
+from services.runtime.transport import RouterLink
 
 LIMITS = Limits(mb_per_sec=10, messages_per_sec=100, garbage=5, lives=3)
 
@@ -14,7 +17,9 @@ class PlayedRouter:
 
     def __init__(self) -> None:
         self.open: dict[Peer, str | None] = {}
-        self.received: dict[Peer, int] = {}
+        self.received: dict[Peer, int] = defaultdict(int)
+        self.nameless: set[Peer] = set()
+        """connections that the router does not list"""
         self.cut: list[str | None] = []
         """identities of the connections that were cut"""
         self.mute: list[Peer] = []
@@ -31,6 +36,9 @@ class PlayedRouter:
     def watch(self, key_expr: str, inbox: Inbox) -> None:
         self.inboxes[key_expr] = inbox
 
+    def watch_links(self, hear: Callable[[RouterLink], None]) -> None:
+        self._hear_link = hear
+
     def publish(self, kind: str, key: str, frame: bytes) -> None:
         assert kind == "status"
         self.said.append((key, frame))
@@ -44,6 +52,12 @@ class PlayedRouter:
         self.open[peer], self.received[peer] = identity, 0
         return peer
 
+    def knock(self, identity: str, port: int) -> Peer:
+        """A client's connection, of which the watch is told as it is made."""
+        peer = self.connect(identity, port)
+        self._hear_link(RouterLink(identity, *peer))
+        return peer
+
     def publishes(self, key_expr: str, key: str, data: bytes, times: int = 1) -> None:
         """Clients say something."""
         for _ in range(times):
@@ -55,7 +69,7 @@ class PlayedRouter:
 
     def look(self) -> dict[Peer, Connection]:
         """As `sockets.connections`."""
-        return {peer: Connection(self.received[peer]) for peer in self.open}
+        return {peer: Connection(self.received[peer]) for peer in [*self.open, *self.nameless]}
 
     def hush(self, peer: Peer) -> bool:
         """As `sockets.mute`."""
@@ -64,7 +78,8 @@ class PlayedRouter:
 
     def shut(self, peer: Peer, connection: Connection) -> bool:
         """As `sockets.cut`."""
-        self.cut.append(self.open.pop(peer))
+        self.cut.append(self.open.pop(peer, "nameless"))
+        self.nameless.discard(peer)
         return True
 
 
@@ -84,12 +99,6 @@ class WatchStage:
         """Let time go on and the watch look."""
         self.now_secs += after_secs
         self.watch.poll(self.now_secs)
-
-    def knock(self, identity: str, port: int) -> Peer:
-        """A connection is made, and the watch is told so at once."""
-        peer = self.router.connect(identity, port)
-        self.watch.greet(RouterLink(identity, *peer))
-        return peer
 
     def total(self, name: str) -> int:
         """One of the totals that go into the router's status."""

@@ -151,8 +151,8 @@ def test_a_new_connection_of_one_who_is_kept_out_is_not_heard_and_cut_only_after
     have_many_lives(stage)
     stage.poll()
     stage.router.cut.clear()
-    peer = stage.knock("actor.lab", 1002)
-    stage.knock("actor.den", 1003)
+    peer = stage.router.knock("actor.lab", 1002)
+    stage.router.knock("actor.den", 1003)
     assert stage.router.mute == [peer]
     for _ in range(MUTE_POLLS):
         stage.poll()
@@ -168,7 +168,7 @@ def test_what_slips_through_before_it_is_not_heard_is_undone_at_once() -> None:
     have_many_lives(stage)
     stage.poll()
     stage.router.cut.clear()
-    stage.knock("actor.lab", 1002)
+    stage.router.knock("actor.lab", 1002)
     stage.router.announces(ALIVE, keys.alive("r", "actor", "actor-den-00000001"))
     assert stage.router.cut == []
     stage.router.announces(ALIVE, keys.alive("r", "actor", LIFE))
@@ -196,6 +196,20 @@ def test_who_is_not_listed_is_turned_away_and_named_once(caplog: pytest.LogCaptu
     assert stage.router.cut == ["actor.den", "actor.den", "stranger", "router", None]
     assert stage.total("turned_away") == 5
     assert [text.count("actor.den") for text in (record.message for record in caplog.records)] == [1, 0, 0, 0]
+
+
+def test_who_connects_and_does_not_say_who_he_is_is_let_go() -> None:
+    stage = WatchStage()
+    stage.router.connect("actor.lab", 1001)
+    stage.router.nameless |= {("10.0.0.8", 1), ("10.0.0.8", 2)}
+    for _ in range(4):
+        stage.poll(after_secs=2.0)
+    stage.router.nameless.remove(("10.0.0.8", 2))
+    stage.router.connect("actor.lab", 2, host="10.0.0.8")
+    assert stage.router.cut == []
+    stage.poll(after_secs=2.0)
+    stage.poll(after_secs=20.0)
+    assert stage.router.cut == ["nameless"]
 
 
 def test_taking_a_host_out_and_in_again_lifts_its_ban() -> None:
