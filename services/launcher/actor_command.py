@@ -14,6 +14,7 @@ from functools import partial
 
 from services.launcher.child import NOT_INHERITED, ONE_THREAD
 from services.launcher.crew import Crew
+from services.launcher.interrupts import Interrupts
 from services.runtime.credentials import add_credential_option, credential_for
 from services.runtime.errors import UserError
 from services.runtime.process import DEFAULT_ENDPOINT, ENDPOINT_VARIABLE, RUN_VARIABLE, run_name
@@ -79,24 +80,29 @@ def run(arguments: argparse.Namespace) -> int:
     crew = Crew(
         [partial(Actor, f"actor {number + 1}", told(arguments, number)) for number in range(arguments.count)]
     )
-    interrupts = _Interrupts()
     many = "an actor" if arguments.count == 1 else f"{arguments.count} actors"
-    _say(f"{many} for run {arguments.run} at {arguments.connect}; Ctrl-C ends")
-    try:
-        while not (crew.over() or crew.fatal or interrupts.numbers):
-            for sentence in crew.poll(time.monotonic()):
-                _say(sentence)
-            interrupts.wait(POLL_SECS)
-        _end(crew, interrupts)
-    finally:
-        crew.stop(signal.SIGKILL)
-    if interrupts.numbers:
-        _say(f"left run {arguments.run}")
-        return 128 + interrupts.numbers[0]
+    with Interrupts() as interrupts:
+        _say(f"{many} for run {arguments.run} at {arguments.connect}; Ctrl-C ends")
+        _look_after(crew, interrupts)
+        if interrupts.numbers:
+            _say(f"left run {arguments.run}")
+            return 128 + interrupts.numbers[0]
     if crew.fatal_code == 2 and crew.fatal:
         raise UserError(crew.fatal)
     _say(crew.fatal or f"all actors have ended in order, for run {arguments.run} is done")
     return crew.fatal_code if crew.fatal else 0
+
+
+def _look_after(crew: Crew, interrupts: Interrupts) -> None:
+    """Until no actor is left; whatever happens, none is left behind."""
+    try:
+        while not (crew.over() or crew.fatal or interrupts.numbers):
+            for sentence in crew.poll(time.monotonic()):
+                _say(sentence)
+            time.sleep(POLL_SECS)
+        _end(crew, interrupts)
+    finally:
+        crew.stop(signal.SIGKILL)
 
 
 def told(arguments: argparse.Namespace, number: int) -> list[str]:
@@ -163,26 +169,7 @@ class Actor:
                     print(line, end="", file=sys.stderr, flush=True)
 
 
-class _Interrupts:
-    """SIGINT and SIGTERM, noted from now on."""
-
-    def __init__(self) -> None:
-        self.numbers: list[int] = []
-        self._heard = threading.Event()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._hear)
-
-    def wait(self, timeout_secs: float) -> None:
-        """Sleep until then, or until a signal comes."""
-        self._heard.wait(timeout_secs)
-        self._heard.clear()
-
-    def _hear(self, number: int, frame: object) -> None:
-        self.numbers.append(number)
-        self._heard.set()
-
-
-def _end(crew: Crew, interrupts: _Interrupts) -> None:
+def _end(crew: Crew, interrupts: Interrupts) -> None:
     """Let all end in order; at another signal at once."""
     heard = len(interrupts.numbers)
     for number, secs in ((signal.SIGTERM, STOP_SECS), (signal.SIGKILL, KILL_SECS)):
@@ -191,7 +178,7 @@ def _end(crew: Crew, interrupts: _Interrupts) -> None:
         while not crew.over() and time.monotonic() < deadline_secs:
             if number is signal.SIGTERM and len(interrupts.numbers) > heard:
                 break
-            interrupts.wait(POLL_SECS)
+            time.sleep(POLL_SECS)
             crew.poll(time.monotonic())
 
 

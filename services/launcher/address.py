@@ -1,6 +1,7 @@
 """Where the router of `babble up` listens, how its processes reach it, and what they show there."""
 
 import ipaddress
+import os
 import socket
 from dataclasses import dataclass
 from pathlib import Path
@@ -86,8 +87,10 @@ def launcher_credential(endpoint: str, given: Path | None) -> Credential | None:
     Raises `CredentialError`.
     """
     usual = credential_file(CERTS, "launcher")
-    if given is None and endpoint.startswith("tls/") and usual.is_file():
-        given = usual
+    # os.path, because a folder that is closed to this user raises; then the usual file is told of.
+    if given is None and endpoint.startswith("tls/"):
+        closed = os.path.isdir(CERTS) and not os.access(CERTS, os.X_OK)
+        given = usual if closed or os.path.isfile(usual) else None
     return credential_for("launcher", endpoint, given)
 
 
@@ -111,7 +114,9 @@ def _parts(listen: str) -> tuple[str, str, int]:
 def _check_credentials(certs: Path, host: str) -> None:
     """Raise `CredentialError` unless all processes of this machine could connect at that host."""
     files = [credential_file(certs, identity) for identity in IDENTITIES]
-    missing = [str(path) for path in files if not path.exists()]
+    if os.path.isdir(certs) and not os.access(certs, os.X_OK):
+        read_credential(files[0])  # says whose folder that is
+    missing = [str(path) for path in files if not os.path.exists(path)]
     if len(missing) == len(files):
         raise CredentialError(
             f"there are no certificates in {certs}; make them with `babble certs init --host NAME`, where "
@@ -131,7 +136,7 @@ def _check_name(router: Path, host: str) -> None:
     from services.launcher.authority import names_of
 
     names = names_of(router.read_bytes())
-    if host not in names:
+    if host.lower() not in names:
         raise CredentialError(
             f"the router's credential {router} is for {', '.join(names) or 'nobody'} and not for {host}; "
             f"listen at 0.0.0.0, or name it too with `babble certs renew router --host {host}`"

@@ -64,12 +64,13 @@ def make_authority(*, now: datetime | None = None, days: int = AUTHORITY_DAYS) -
 
 def load_authority(certificate_pem: bytes, key_pem: bytes) -> Authority:
     """The authority of the two PEM texts. Raises ValueError if they are damaged or do not fit."""
-    certificate = x509.load_pem_x509_certificate(certificate_pem)
     try:
+        certificate = x509.load_pem_x509_certificate(certificate_pem)
         key = load_pem_private_key(key_pem, password=None)
-    except (TypeError, UnsupportedAlgorithm) as error:
+        fits = key.public_key() == certificate.public_key()
+    except (TypeError, UnsupportedAlgorithm, x509.InvalidVersion) as error:
         raise ValueError(str(error)) from None
-    if not isinstance(key, ec.EllipticCurvePrivateKey) or key.public_key() != certificate.public_key():
+    if not isinstance(key, ec.EllipticCurvePrivateKey) or not fits:
         raise ValueError("the key is not that of the certificate")
     return Authority(certificate, key)
 

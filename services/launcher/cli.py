@@ -1,12 +1,13 @@
 """The command line of `babble`; a command's module is imported only when it is asked for."""
 
-import argparse
 import importlib
 import os
 import signal
 import sys
 from collections.abc import Sequence
-from typing import Any, NoReturn
+from typing import Any
+
+from services.runtime.parser import OneLineParser
 
 COMMANDS = {
     "up": ("services.launcher.up", "train a scenario on this machine and show how it goes"),
@@ -22,13 +23,6 @@ COMMANDS = {
     "doctor": ("services.launcher.doctor", "what is missing on this machine, and what to install"),
 }
 OURS = ("babble", "protocol", "services")
-
-
-class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {message}; see `{self.prog} --help`\n")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -52,7 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(command: str | None, given: list[str]) -> int:
-    parser = _Parser(
+    parser = OneLineParser(
         prog="babble", description="The Composer, trained as a distributed actor-learner service."
     )
     parser.add_argument("--version", action="store_true", help="say the version and exit")

@@ -1,6 +1,7 @@
 """What the command line says of a run, checked before any process starts: the scenario's settings."""
 
 import argparse
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,8 +17,8 @@ def scenario_path(scenario: str) -> Path:
 
     Raises `SettingsError` that names the known ones.
     """
-    given = Path(scenario).expanduser()
-    if given.is_file():
+    given = Path(os.path.expanduser(scenario))
+    if os.path.isfile(given):
         return given
     known = known_scenarios()
     name = scenario.removesuffix(SUFFIX)

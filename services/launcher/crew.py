@@ -2,7 +2,8 @@
 
 An actor that dies is started again after a growing delay. One that ends with 0 has heard the end of the
 run. What a person must mend (exit code 2) is the same for all of them, so the first one's word ends the
-crew; after the end of the run it only says that there is nobody to return to.
+crew. Two cases are none of a person's: after the end of the run nobody is there to return to; and while
+earlier ones still run, the network may be away, so whoever cannot come back tries again.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,7 +11,7 @@ from dataclasses import dataclass, field
 from signal import Signals
 from typing import Protocol
 
-from services.launcher.supervisor import USER_ERROR, Patience
+from services.launcher.supervisor import USER_ERROR, Patience, how_it_ended
 
 
 class Hand(Protocol):
@@ -35,6 +36,8 @@ class _Place:
     hand: Hand | None = None
     due_secs: float | None = float("-inf")
     """when it is to be started; None if it is running or over"""
+    began_secs: float = float("-inf")
+    """when it was started last"""
     deaths_secs: list[float] = field(default_factory=list)
 
 
@@ -60,7 +63,7 @@ class Crew:
                 hand, place.hand = place.hand, None
                 news += self._ended(place, hand, code, now_secs)
             elif place.due_secs is not None and place.due_secs <= now_secs:
-                place.hand, place.due_secs = place.start(), None
+                place.hand, place.due_secs, place.began_secs = place.start(), None, now_secs
         return news
 
     def over(self) -> bool:
@@ -79,32 +82,26 @@ class Crew:
         if code == 0 or self._stopping:
             self.parted = self.parted or code == 0
             return []
-        if code == USER_ERROR:
+        if code == USER_ERROR and (self.parted or not self._has_elder(place)):
             if not self.parted:
-                self._give_up(hand.last_words or f"{hand.name} {_how(code)}", USER_ERROR)
+                self._give_up(hand.last_words or f"{hand.name} {how_it_ended(code)}", USER_ERROR)
             return []
-        window_secs = now_secs - self._patience.within_secs
-        place.deaths_secs = [secs for secs in place.deaths_secs if secs > window_secs] + [now_secs]
-        delay_secs = self._patience.delay_secs(len(place.deaths_secs))
+        how = how_it_ended(code) if code != USER_ERROR else f"could not come back ({hand.last_words or code})"
+        delay_secs = self._patience.note_death(place.deaths_secs, now_secs)
         if delay_secs is not None:
             place.due_secs = now_secs + delay_secs
-            return [f"{hand.name} {_how(code)}; it is started again in {delay_secs:g} s"]
+            return [f"{hand.name} {how}; it is started again in {delay_secs:g} s"]
         often = f"{len(place.deaths_secs)} times within {self._patience.within_secs:.0f} s"
-        sentence = f"{hand.name} {_how(code)}, {often}"
+        sentence = f"{hand.name} {how}, {often}"
         if self.over():
             self._give_up(f"{sentence}; what it said is above", 1)
             return []
         return [f"{sentence}; the others go on without it"]
 
+    def _has_elder(self, place: _Place) -> bool:
+        """True while an actor runs that was started before this place's last one."""
+        return any(each.hand is not None and each.began_secs < place.began_secs for each in self._places)
+
     def _give_up(self, sentence: str, code: int) -> None:
         if self.fatal is None:
             self.fatal, self.fatal_code = sentence, code
-
-
-def _how(code: int) -> str:
-    if code >= 0:
-        return f"failed with code {code}"
-    try:
-        return f"was killed by {Signals(-code).name}"
-    except ValueError:
-        return f"was killed by signal {-code}"

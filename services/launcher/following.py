@@ -8,13 +8,13 @@ from typing import Any
 
 from services.launcher.address import launcher_credential
 from services.launcher.display import Display
+from services.launcher.interrupts import Interrupts
 from services.launcher.listening import Listener
 from services.launcher.members import Picture
 from services.launcher.reaching import NotRunning, Reach
-from services.launcher.service import Interrupts
 from services.launcher.status_command import ANSWER_SECS, ask
 from services.runtime.bus import Wakeup
-from services.runtime.errors import BusError, UserError
+from services.runtime.errors import BusError, RefusedError, UserError
 from services.runtime.process import new_life
 from services.runtime.zenoh_bus import ZenohBus
 
@@ -38,7 +38,7 @@ class Follower:
 
     def __init__(self, asked: Reach, credential: Path | None, display: Display) -> None:
         """Raises `UserError` if the run is not to be reached, or not with this credential."""
-        launcher_credential(asked.endpoint(), credential)
+        launcher_credential(asked.endpoint(), asked.credential(credential))
         folder = asked.folder
         self.picture = Picture(asked.run, folder.shown if folder else "", time.monotonic())
         self.picture.opening = "waiting for the coordinator"
@@ -55,6 +55,7 @@ class Follower:
         self._met = False
         """The connection was made, and the picture knows; from then on the bus tells how the link is."""
         self._endpoint = self._trouble = ""
+        self._refused: RefusedError | None = None
         self._described: dict[str, Any] = {}
         self._scores_at_secs = self._folder_at_secs = float("-inf")
         self._scores_size = -1
@@ -62,11 +63,16 @@ class Follower:
         self._told_alone = False
 
     def follow(self, interrupts: Interrupts) -> bool:
-        """Show the run until it is done (True) or a signal comes (False). Raises `UserError`."""
+        """Show the run until it is done (True) or a signal comes (False).
+
+        Raises `RefusedError` where no waiting helps, such as another authority's certificate.
+        """
         self._begin()
         try:
             with self._display:
                 while not (interrupts.numbers or self.picture.done or self._completed()):
+                    if self._refused is not None:
+                        raise self._refused
                     self._wakeup.wait(POLL_SECS)
                     self._look(time.monotonic())
                 if not interrupts.numbers:
@@ -98,9 +104,12 @@ class Follower:
         while not self._leaving.is_set():
             try:
                 endpoint = self._endpoint = self._asked.endpoint()
-                credential = launcher_credential(endpoint, self._credential)
+                credential = launcher_credential(endpoint, self._asked.credential(self._credential))
                 bus = ZenohBus(endpoint, new_life("launcher"), self._wakeup, CONNECT_SECS, credential)
                 self._listener.connect(bus)
+            except RefusedError as error:
+                self._refused = error
+                return
             except UserError as error:
                 self._trouble = str(error)
                 self._leaving.wait(AGAIN_SECS)

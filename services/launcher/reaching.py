@@ -9,7 +9,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from protocol.messages import Name
 from services.launcher.run_folder import RUNS, RunFolder, RunFolderError, running
-from services.runtime.credentials import add_credential_option
+from services.runtime.credentials import CREDENTIAL_VARIABLE, add_credential_option
 from services.runtime.errors import UserError
 from services.runtime.process import ENDPOINT_VARIABLE, RUN_VARIABLE
 
@@ -40,6 +40,16 @@ class Reach:
             f"the run {shown} is not going on here; go on with `babble up --resume {shown}`, "
             "or say with --connect where it does"
         )
+
+    def credential(self, given: Path | None) -> Path | None:
+        """The file to show there, of the one that was given on the command line or by the environment.
+
+        Whoever exports one for other runs has no use for it where `babble up` of this machine is on tcp/.
+        """
+        exported = os.environ.get(CREDENTIAL_VARIABLE)
+        if self.connect is None and str(given) == exported and self.endpoint().startswith("tcp/"):
+            return None
+        return given
 
 
 def add_reaching(parser: argparse.ArgumentParser) -> None:
@@ -85,7 +95,7 @@ def _folder(run: str, elsewhere: str | None) -> RunFolder | None:
 
     With an address, a bare name is that of a run there, whatever is called so here.
     """
-    if elsewhere is None or (Path(run).expanduser() / "run.json").is_file():
+    if elsewhere is None or os.path.isfile(Path(os.path.expanduser(run)) / "run.json"):
         return RunFolder.find(run)
     return None
 

@@ -72,18 +72,20 @@ class RunFolder:
         name = run_name(settings, made)
         path = _new_folder(name) if where is None else _empty_folder(where)
         run = run or (path.name if where is None else name)
-        write_atomically(path / "config.toml", config_text(settings).encode())
         record: dict[str, Any] = {"run": run, "created": made.astimezone(UTC).isoformat(timespec="seconds")}
         record |= {"seed": settings.seed, "seed_tree": "run -> service or actor index -> life"}
         record |= {"command": [*command], **versions()}
+        # One right after the other: a folder with one of them is neither empty nor a run.
+        write_atomically(path / "config.toml", config_text(settings).encode())
         write_atomically(path / "run.json", json.dumps(record, indent=2).encode() + b"\n")
         return cls(path, run)
 
     @classmethod
     def find(cls, text: str) -> "RunFolder":
         """An existing run, given by its folder or by its name under runs/. Raises `RunFolderError`."""
-        for path in (Path(text).expanduser(), RUNS / text):
-            if (path / "run.json").is_file() and (path / "config.toml").is_file():
+        for path in (Path(os.path.expanduser(text)), RUNS / text):
+            # os.path, because a name that is too long, or a folder that is closed to this user, is none.
+            if all(os.path.isfile(path / name) for name in ("run.json", "config.toml")):
                 return cls(path.resolve(), read_run_name(path))
         raise RunFolderError(
             f"{text!r} is not the folder of a run (it has no run.json and config.toml) "

@@ -11,6 +11,7 @@ from services.launcher.address import LOCAL_ACTOR, Address
 from services.launcher.child import ChildProcess
 from services.launcher.dashboard import HOST, Ports
 from services.launcher.display import Display
+from services.launcher.interrupts import Interrupts
 from services.launcher.listening import Listener
 from services.launcher.members import Picture
 from services.launcher.run_folder import RunFolder
@@ -54,23 +55,6 @@ class Outcome:
     """from the start of the processes to the end of the run"""
     cpu_secs: dict[str, float]
     """of the processes, by name"""
-
-
-class Interrupts:
-    """SIGINT and SIGTERM, noted; the loop asks."""
-
-    def __init__(self) -> None:
-        self.numbers: list[int] = []
-        self._before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-
-    def __enter__(self) -> "Interrupts":
-        for number in self._before:
-            signal.signal(number, lambda received, _: self.numbers.append(received))
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
 
 
 class Launcher:

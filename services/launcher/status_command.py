@@ -45,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
     folder = asked.folder
     if folder is not None and not folder.in_use():
         _refuse_completed(folder)
-    told, picture = look(asked.run, asked.endpoint(), arguments.credential)
+    told, picture = look(asked.run, asked.endpoint(), asked.credential(arguments.credential))
     if folder is not None:
         picture.goals = folder.settings().goals
     lines = status_lines(

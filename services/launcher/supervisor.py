@@ -68,6 +68,12 @@ class Patience:
             return None
         return min(self.first_delay_secs * 2.0 ** (deaths - 1), self.longest_delay_secs)
 
+    def note_death(self, deaths_secs: list[float], now_secs: float) -> float | None:
+        """Add a death to the list, less those too long ago; the delay as of `delay_secs`."""
+        began_secs = now_secs - self.within_secs
+        deaths_secs[:] = [secs for secs in deaths_secs if secs > began_secs] + [now_secs]
+        return self.delay_secs(len(deaths_secs))
+
 
 @dataclass
 class _Place:
@@ -153,7 +159,7 @@ class Supervisor:
         part = place.part
         if self._stopping or (done and exit.code == 0):
             return []
-        how = f"{part.name} {_how(exit.code)}"
+        how = f"{part.name} {how_it_ended(exit.code)}"
         if exit.code == USER_ERROR and part.optional:
             return self._do_without(part, last_line(part.log) or f"{how}; see {part.log}")
         if exit.code == USER_ERROR:
@@ -161,9 +167,7 @@ class Supervisor:
             return []
         if done and not (part.leads or part.outlasts):
             return [f"{how} after the run was done; see {part.log}"]
-        window_secs = now_secs - self._patience.within_secs
-        place.deaths_secs = [secs for secs in place.deaths_secs if secs > window_secs] + [now_secs]
-        delay_secs = self._patience.delay_secs(len(place.deaths_secs))
+        delay_secs = self._patience.note_death(place.deaths_secs, now_secs)
         if delay_secs is not None:
             place.due_secs = now_secs + delay_secs
             return [f"{how}; it is started again in {delay_secs:g} s"]
@@ -201,7 +205,8 @@ def last_line(log: Path) -> str:
     return next((line.strip() for line in reversed(lines) if line.strip()), "")
 
 
-def _how(code: int) -> str:
+def how_it_ended(code: int) -> str:
+    """What an exit code says, after a name: "was killed by SIGKILL"."""
     if code >= 0:
         return f"ended with code {code}" if code == 0 else f"failed with code {code}"
     try:

@@ -14,9 +14,10 @@ from services.launcher.conclusion import left_out_by, print_scores, say_how_to_s
 from services.launcher.config import at_least, check_world, scenario_settings
 from services.launcher.dashboard import GRPC_PORT, WEB_PORT, Choice, Ports
 from services.launcher.display import display_for
+from services.launcher.interrupts import Interrupts
 from services.launcher.lines import cpu_table
 from services.launcher.run_folder import RunFolder
-from services.launcher.service import Interrupts, Launcher, Outcome
+from services.launcher.service import Launcher, Outcome
 from services.runtime.errors import UserError
 from services.runtime.settings import RunSettings
 

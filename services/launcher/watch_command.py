@@ -14,11 +14,11 @@ from services.launcher.conclusion import (
 )
 from services.launcher.display import display_for
 from services.launcher.following import Follower
+from services.launcher.interrupts import Interrupts
 from services.launcher.members import Picture
 from services.launcher.reaching import add_reaching, reach
 from services.launcher.records import Records
 from services.launcher.run_folder import RunFolder
-from services.launcher.service import Interrupts
 from services.launcher.timeline import timeline_of
 from services.runtime.errors import UserError
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 NEWEST_SHARE = 0.3
 """Of the newest measurement in an actor's mean time per segment."""
 FORGET_SECS = 5.0
-"""An actor that was asked for nothing so long is tried again, since it may not be slow any more."""
+"""How slow an actor was that was asked for nothing so long is forgotten, since it may not be so any more."""
 SHORTEST_SECS = 1e-3
 """Of a segment; below it actors count as equally fast."""
 
@@ -36,6 +36,10 @@ class _Sender:
     @property
     def owed(self) -> int:
         return max(0, self.granted - self.upto)
+
+    def idle(self, now_secs: float) -> bool:
+        """True if it was asked for nothing for a while."""
+        return self.owed == 0 and now_secs - self.since_secs > FORGET_SECS
 
 
 class Allotment:
@@ -94,6 +98,8 @@ class Allotment:
         while uncovered > 0 and (life := self._soonest(now_secs)) is not None:
             sender = self._senders[life]
             if sender.owed == 0:
+                if sender.idle(now_secs):
+                    sender.segment_secs = None
                 sender.since_secs = now_secs
             sender.granted = max(sender.granted, sender.upto) + 1
             sender.granted_in_term += 1
@@ -115,7 +121,7 @@ class Allotment:
         for life, sender in self._senders.items():
             if sender.owed >= self._window or not self._trusted(sender, now_secs):
                 continue
-            idle = sender.owed == 0 and now_secs - sender.since_secs > FORGET_SECS
-            each_secs = fastest_secs if idle or sender.segment_secs is None else sender.segment_secs
+            unknown = sender.segment_secs is None or sender.idle(now_secs)
+            each_secs = fastest_secs if unknown else sender.segment_secs
             able.append(((sender.owed + 1) * each_secs, sender.owed, sender.granted_in_term, life))
         return min(able)[3] if able else None

@@ -44,6 +44,11 @@ _NO_TLS = Finding(
     "what listens there does not speak TLS; check the address, or let that router listen at a tls/ address",
     lasting=False,
 )
+_SILENT = Finding(
+    f"what listens there says nothing of TLS within {KNOCK_SECS:.0f} s; it is busy or it does not encrypt, so "
+    "look into the router's log, or check the address",
+    lasting=False,
+)
 _NO_SESSION = Finding(
     f"something listens there, but it is no router, or one that is full ({MAX_SESSIONS} connections) or "
     "overloaded; check the address and the router's log",
@@ -77,7 +82,8 @@ def turned_away(endpoint: str, credential: Credential) -> str:
         return f"{who}, for what it did before; see the router's log"
     return (
         f"{who}: the host {credential.host} is not on its list, or is kept out for what it did, as the "
-        f"router's log says; put it on the list with `babble certs add {credential.host}`, or wait"
+        "router's log says; wait, or put the host on the list with `babble certs add` (under a new label if "
+        f"{credential.host} was revoked)"
     )
 
 
@@ -106,6 +112,10 @@ def _knock_encrypted(address: Address, credential: Credential) -> Finding:
             encrypted = context.wrap_socket(connection, server_hostname=address.host)
         except ssl.SSLCertVerificationError as error:
             return Finding(_our_objection(error.verify_code, address, credential), lasting=True)
+        except TimeoutError:
+            return _SILENT
+        except (ssl.SSLEOFError, ConnectionError):
+            return _NO_SESSION
         except OSError as error:
             return _their_objection(error, credential) or _NO_TLS
         with encrypted:

@@ -6,6 +6,7 @@ import os
 import resource
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -139,6 +140,8 @@ class _HealthFile:
             self._draft.write_text(json.dumps(record), encoding="utf-8")
             self._draft.replace(self._path)
         except OSError as error:
+            with suppress(OSError):
+                self._draft.unlink(missing_ok=True)
             if not self._refused:
                 log.warning(
                     "cannot write %s (%s), so that nobody can tell from it whether this process is well",

@@ -15,13 +15,14 @@ from typing import Any, Protocol
 import zenoh
 import zenoh.ext
 
+from protocol import keys
 from protocol.keys import DELIVERY, Delivery
 from services.runtime import transport
 from services.runtime.bus import Frame, Inbox, Link, Membership, Question, Wakeup, refuse_oversized
 from services.runtime.closing import close_with_main_thread
 from services.runtime.credentials import Credential
 from services.runtime.diagnosis import ShortVisits, diagnose, let_in, turned_away
-from services.runtime.errors import BusError
+from services.runtime.errors import BusError, RefusedError
 from services.runtime.transport import RouterLink as RouterLink
 
 log = logging.getLogger(__name__)
@@ -58,7 +59,8 @@ class ZenohBus:
     ) -> None:
         """Connects; a credential is for a tls/ endpoint.
 
-        Raises `BusError` with the cause if no router lets it in within about `connect_secs`.
+        Raises `BusError` with the cause if no router lets it in within about `connect_secs`, at once
+        `RefusedError` if waiting does not help.
         """
         self._life = life
         self._wakeup = wakeup
@@ -120,8 +122,11 @@ class ZenohBus:
         self._declared.append(self._session("control").liveliness().declare_token(key))
 
     def watch(self, key_expr: str, inbox: Inbox) -> None:
-        """See `Bus.watch`. When this process's own link goes, all tokens are reported gone."""
-        self._declared.append(_watch_tokens(self._session("control"), key_expr, inbox))
+        """See `Bus.watch`. When this process's own link goes, all tokens are reported gone.
+
+        Keys that are no member's are left out: anybody may choose the end of his own life's name.
+        """
+        self._declared.append(_watch_tokens(self._session("control"), key_expr, inbox, _is_member))
 
     def watch_link(self, inbox: Inbox) -> None:
         """See `Bus.watch_link`; up means that both connections are."""
@@ -263,8 +268,11 @@ class Router:
         self._declared.append(self._session.declare_subscriber(key_expr, callback))
 
     def watch(self, key_expr: str, inbox: Inbox) -> None:
-        """Put a `Membership` into the inbox for each token present now, and for each change."""
-        self._declared.append(_watch_tokens(self._session, key_expr, inbox))
+        """Put a `Membership` into the inbox for each token present now, and for each change.
+
+        Those are in it as well that no member of a run can have.
+        """
+        self._declared.append(_watch_tokens(self._session, key_expr, inbox, lambda _: True))
 
     def publish(self, kind: str, key: str, frame: bytes) -> None:
         """Send a frame of a kind that is not retained, such as the router's own status.
@@ -314,8 +322,8 @@ def open_router(
         router = Router(zenoh.open(_configured(settings)))
     except zenoh.ZError as error:
         raise BusError(
-            f"cannot listen at {endpoint} ({_reason(error)}); "
-            "end the process that has this address, or choose another with --listen tcp/<address>:<port>"
+            f"cannot listen at {endpoint} ({_reason(error)}); end the process that has this address, or choose "
+            "another address of this machine with --listen"
         ) from None
     router.open_door()
     return router
@@ -337,7 +345,7 @@ def _connect(
         if late or not told:
             found, told = diagnose(endpoint, credential), True
             if found.lasting:
-                raise BusError(f"cannot connect to {endpoint}: {found.cause}")
+                raise RefusedError(f"cannot connect to {endpoint}: {found.cause}")
             if late:
                 raise BusError(f"no router answered at {endpoint} within {connect_secs:.0f} s: {found.cause}")
             log.info("waiting for the router at %s: %s", endpoint, found.cause)
@@ -378,11 +386,24 @@ def _latest_publisher(session: zenoh.Session, key: str, row: Delivery) -> zenoh.
     )
 
 
-def _watch_tokens(session: zenoh.Session, key_expr: str, inbox: Inbox) -> _Undeclarable:
+def _watch_tokens(
+    session: zenoh.Session, key_expr: str, inbox: Inbox, wanted: Callable[[str], bool]
+) -> _Undeclarable:
     def hear(sample: zenoh.Sample) -> None:
-        inbox.put(Membership(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
+        key = str(sample.key_expr)
+        if wanted(key):
+            inbox.put(Membership(key, sample.kind == zenoh.SampleKind.PUT))
 
     return session.liveliness().declare_subscriber(key_expr, hear, history=True)
+
+
+def _is_member(key: str) -> bool:
+    try:
+        keys.member(key)
+    except ValueError as error:
+        log.debug("left out: %s", error)
+        return False
+    return True
 
 
 def _watch_transports(session: zenoh.Session, hear: Callable[[bool], None]) -> _Undeclarable:

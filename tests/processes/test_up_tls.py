@@ -39,9 +39,20 @@ def test_all_processes_of_a_run_show_who_they_are_and_whoever_asks_must_too(
     endpoint = run.expect("router     tls/127.0.0.1:", START_SECS).split()[1]
     run.expect("WALK 1 of 60", RUN_SECS)
     known = ("--credential", certs / "launcher.pem")
+    (tmp_path / "foreign.pem").write_bytes(issue(make_authority(), "launcher"))
+    foreign = ("--credential", tmp_path / "foreign.pem")
     status = babble("status", folder, *known)
     watch = babble("watch", folder, *known)
-    watch.expect("PRACTISE", RUN_SECS)
+    started = [
+        (babble("status", folder), "needs a credential"),
+        (babble("status", folder, *foreign), "authority|signed"),
+        (babble("watch", folder, *foreign), "authority|signed"),
+        (
+            babble("status", folder, "--connect", endpoint.replace("tls", "tcp"), *known),
+            "would not be used",
+        ),
+    ]
+    watch.expect("actor-local-", START_SECS)
     assert status.ended(START_SECS) == 0, status.report()
     for member in (
         "router-",
@@ -52,13 +63,8 @@ def test_all_processes_of_a_run_show_who_they_are_and_whoever_asks_must_too(
         "actor-local-",
     ):
         assert any(line.startswith(member) and line.rstrip()[-1].isdigit() for line in status.out), member
-    (tmp_path / "foreign.pem").write_bytes(issue(make_authority(), "launcher"))
-    for words, arguments in (
-        ("needs a credential", ()),
-        ("authority|signed", ("--credential", tmp_path / "foreign.pem")),
-        ("would not be used", ("--connect", endpoint.replace("tls", "tcp"), *known)),
-    ):
-        refused(babble("status", folder, *arguments), words)
+    for process, words in started:
+        refused(process, words)
     run.interrupt()
     assert run.ended(START_SECS) == 143, run.report()
     for log in folder.glob("logs/*.log"):

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from cryptography import x509
-from cryptography.hazmat.primitives.serialization import load_pem_private_key
+from cryptography.hazmat.primitives.serialization import Encoding, load_pem_private_key
 
 from services.launcher.authority import Authority, issue, make_authority
 from services.runtime.credentials import (
@@ -121,6 +121,21 @@ def test_what_is_not_whole_is_told_in_one_sentence_without_secrets(tmp_path: Pat
     assert_one_sentence(said)
     assert str(path) in said
     assert not any(line in said for line in secret_lines(parts(LAB)[0]))
+
+
+@pytest.mark.filterwarnings("ignore:Parsed a serial number")
+def test_whatever_byte_is_spoilt_it_is_one_sentence_at_most(tmp_path: Path) -> None:
+    key, *certificates = parts(LAB)
+    for number, pem in enumerate(certificates):
+        der = x509.load_pem_x509_certificate(pem).public_bytes(Encoding.DER)
+        for at in range(0, len(der), 2):
+            spoilt = der[:at] + bytes([der[at] ^ 0x35]) + der[at + 1 :]
+            blocks = [*certificates]
+            blocks[number] = ssl.DER_cert_to_PEM_cert(spoilt).encode()
+            try:
+                read_credential(written(tmp_path, b"".join([key, *blocks])))
+            except CredentialError as error:
+                assert_one_sentence(str(error))
 
 
 def test_a_missing_file_is_told(tmp_path: Path) -> None:

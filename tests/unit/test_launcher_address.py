@@ -161,6 +161,29 @@ def test_commands_find_the_usual_credential(certs: Path, monkeypatch: pytest.Mon
         launcher_credential("tls/127.0.0.1:7447", None)
 
 
+def test_a_folder_that_cannot_be_one_is_told(tmp_path: Path) -> None:
+    with pytest.raises(CredentialError, match="there are no certificates in"):
+        address_of("tls/127.0.0.1:0", certs=tmp_path / ("x" * 300))
+
+
+@pytest.mark.parametrize("name", ["LocalHost", "localhost"])
+def test_names_are_the_same_in_any_case(certs: Path, name: str) -> None:
+    assert address_of(f"tls/{name}:0", certs=certs).connect.startswith(f"tls/{name}:")
+
+
+def test_a_folder_of_another_user_is_told(certs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def closed(path: Path, mode: str) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.chdir(certs.parent)
+    monkeypatch.setattr("os.access", lambda path, mode: path != Path("certs"))
+    monkeypatch.setattr(Path, "open", closed)
+    with pytest.raises(CredentialError, match=r"may not read the credential certs/launcher\.pem"):
+        launcher_credential("tls/127.0.0.1:7447", None)
+    with pytest.raises(CredentialError, match=r"may not read the credential certs/router/router\.pem"):
+        address_of("tls/127.0.0.1:0", certs=Path("certs"))
+
+
 def test_a_key_is_never_printed(certs: Path) -> None:
     credential = address_of("tls/127.0.0.1:0", certs=certs).credential()
     assert "PRIVATE" not in repr(credential)

@@ -119,6 +119,23 @@ def test_one_that_comes_back_after_the_end_of_the_run_finds_nobody_and_that_is_n
     assert crew.fatal is None
 
 
+def test_one_that_cannot_come_back_while_another_holds_out_tries_again(
+    crew: Crew, started: list[Played]
+) -> None:
+    started[0].end(-9)
+    crew.poll(10.0)
+    crew.poll(11.0)
+    started[2].end(2, "no router answered")
+    assert crew.poll(31.0) == ["actor 1 could not come back (no router answered); it is started again in 2 s"]
+    assert crew.fatal is None
+    crew.poll(33.0)
+    started[1].end(1)
+    crew.poll(34.0)
+    started[3].end(2, "no router answered")
+    crew.poll(34.5)
+    assert (crew.fatal, crew.fatal_code) == ("no router answered", 2), "nobody is left who is at work"
+
+
 def test_a_stop_reaches_those_that_run_and_nobody_is_started_any_more(
     crew: Crew, started: list[Played]
 ) -> None:

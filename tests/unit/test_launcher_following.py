@@ -13,12 +13,12 @@ from protocol.codec import encode
 from protocol.messages import ALL_BLOCKS, Phase, PhaseAnnounced
 from services.launcher import following
 from services.launcher.following import Follower
+from services.launcher.interrupts import Interrupts
 from services.launcher.members import Picture
 from services.launcher.reaching import Reach
 from services.launcher.run_folder import RunFolder
-from services.launcher.service import Interrupts
 from services.runtime.bus import Bus, Wakeup
-from services.runtime.errors import BusError
+from services.runtime.errors import BusError, RefusedError
 from services.runtime.memory_bus import MemoryBus
 from services.runtime.settings import RunSettings
 
@@ -123,6 +123,15 @@ def test_a_router_that_is_not_there_yet_is_told_once_and_tried_again(world: Worl
     plot = Plot(wait, world.says(Phase.DONE))
     assert world.follow(plot, connect="tcp/127.0.0.1:1")
     assert plot.told.count("no router answered at tcp/127.0.0.1:1; trying again") == 1
+
+
+def test_a_router_that_will_never_let_it_in_ends_it(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> Bus:
+        raise RefusedError("cannot connect to tls/lab:7447: another authority")
+
+    monkeypatch.setattr(following, "ZenohBus", refuse)
+    with pytest.raises(RefusedError, match="another authority"):
+        world.follow(Plot(), connect="tcp/127.0.0.1:1")
 
 
 def test_a_resumed_run_is_found_at_its_new_address(world: World) -> None:

@@ -14,7 +14,7 @@ LAB = "tls/lab:7447"
 @pytest.fixture(autouse=True)
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
-    for variable in ("BABBLE_CONNECT", "BABBLE_RUN"):
+    for variable in ("BABBLE_CONNECT", "BABBLE_CREDENTIAL", "BABBLE_RUN"):
         monkeypatch.delenv(variable, raising=False)
     return tmp_path
 
@@ -67,3 +67,24 @@ def test_containers_say_both_in_their_environment(folder: RunFolder, monkeypatch
     assert reach("other", LAB).endpoint() == LAB
     with folder.locked():
         assert reach("runs/mine", None).endpoint() == "tcp/127.0.0.1:1234", "its launcher knows better"
+
+
+def test_a_credential_exported_for_other_runs_is_not_in_the_way_of_one_that_needs_none(
+    folder: RunFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    exported, given = Path("certs/launcher.pem"), Path("other.pem")
+    monkeypatch.setenv("BABBLE_CREDENTIAL", str(exported))
+    with folder.locked():
+        here = reach("mine", None)
+        assert here.credential(exported) is None
+        assert here.credential(given) == given, "what was given by hand is not left out silently"
+        folder.note_endpoint("tls/127.0.0.1:1234")
+        assert here.credential(exported) == exported
+    assert reach("mine", LAB).credential(exported) == exported
+
+
+@pytest.mark.parametrize("name", ["a" * 300, "~nobody-of-this-name/run", "x/../y", ""])
+@pytest.mark.parametrize("connect", [None, LAB])
+def test_whatever_is_no_name_is_one_sentence(name: str, connect: str | None) -> None:
+    with pytest.raises((RunFolderError, NotRunning)):
+        reach(name, connect)

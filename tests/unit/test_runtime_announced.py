@@ -170,3 +170,11 @@ def test_settings_too_long_to_be_told_are_refused_by_the_one_who_would_tell_them
     block = {"name": "body", "observes": list(range(200_000))}
     with pytest.raises(SettingsError, match="actors can be told 1,048,576; shorten the lists"):
         announced_text(parse({"scenario": "x", "block": [block]}, origin="test"))
+
+
+def test_what_is_wrong_with_settings_of_a_million_characters_is_a_short_sentence() -> None:
+    said = json.loads(announced_text(SETTINGS))
+    for wrong in ({"seed": [0] * 300_000}, {"scenario": "x" * 900_000}, {"k" * 900_000: 0}):
+        with pytest.raises(SettingsError, match=r"another version of babble") as refused:
+            parse_announced(json.dumps({**said, **wrong}), origin="the settings of run 'x'")
+        assert len(str(refused.value)) < 1000

@@ -154,6 +154,17 @@ def test_a_disk_that_refuses_is_told_once_and_ends_nothing(
     assert "missing/health" in caplog.text
 
 
+@pytest.mark.parametrize("nowhere", [".", "/dev/null/x", "x" * 300])
+def test_a_path_that_is_no_files_ends_nothing(
+    nowhere: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv(health.VARIABLE, nowhere)
+    heart(Wire()).poll(1.0, dict)
+    assert "nobody can tell" in caplog.text
+    assert not list(tmp_path.iterdir())
+
+
 def test_as_a_program_it_exits_with_0_or_1_and_loads_nothing_heavy(file: Path) -> None:
     heart(Wire()).poll(1.0, dict)
     program = [sys.executable, "-X", "importtime", "-m", "services.runtime.health"]

@@ -10,6 +10,7 @@ import pytest
 from pydantic import TypeAdapter
 
 from protocol.messages import Name
+from services.runtime import process
 from services.runtime.bus import Wakeup
 from services.runtime.clock import HandClock
 from services.runtime.process import STOP_SECS, log_to_stderr, loop, new_life, run_process
@@ -191,3 +192,26 @@ def test_a_settings_error_is_one_for_people_and_still_a_value_error() -> None:
     with pytest.raises(ValueError, match="x: scenario") as failure:
         parse({}, origin="x")
     assert isinstance(failure.value, SettingsError)
+
+
+@pytest.mark.usefixtures("logging_restored")
+@pytest.mark.parametrize("asked_to_stop", [False, True])
+def test_a_process_that_is_told_to_stop_while_it_leaves_does_not_begin_anew(
+    asked_to_stop: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def leave(one: process._Process) -> None:
+        one.outdated, one.signals.received = True, asked_to_stop
+
+    begun: list[str] = []
+    monkeypatch.setattr(process._Process, "run", leave)
+    monkeypatch.setattr(process._Signals, "listen", lambda _: None)
+    monkeypatch.setattr("os.execv", lambda program, _: begun.append(program))
+    code = run_process("actor", lambda _: Scripted([]), ["--run", "x"], by_name=True)
+    assert (code, bool(begun)) == (0, not asked_to_stop)
+
+
+def test_a_wrong_command_line_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        run_process("actor", lambda _: Scripted([]), ["--run", "No Name"], by_name=True)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "'No Name' is no name of a run" in line
