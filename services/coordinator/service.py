@@ -19,6 +19,7 @@ from services.coordinator.report import describe, witnesses
 from services.coordinator.run_files import RunFiles
 from services.coordinator.state import State, awaited, present
 from services.coordinator.table import LEARNERS
+from services.coordinator.table import Phase as MachinePhase
 from services.coordinator.translate import announced, settings_announced, status_reported
 from services.coordinator.waiting import phase_name, waiting
 from services.coordinator.words import (
@@ -47,6 +48,8 @@ SERVICE = "coordinator"
 ANNOUNCE_SECS = 1.0
 FAREWELL_SECS = 5.0
 """DONE is announced for so long at most, while the own link is up."""
+LATECOMERS_SECS = 20.0
+"""A run that was done before is announced for so long: whoever was started with it hears it and ends."""
 QUANTUM = 256
 """Arrivals of each kind that one poll takes."""
 
@@ -89,6 +92,7 @@ class CoordinatorService:
         self._begun = self._stop_asked = self._ended = False
         self._announced_secs = float("-inf")
         self._announcements = self._replies = 0
+        self._done_before = self._state.phase is MachinePhase.DONE
         self._done_secs: float | None = None
         self._unlinked_secs = float("-inf")
         self._stall = ""
@@ -277,6 +281,8 @@ class CoordinatorService:
         if self._done_secs is None:
             return False
         since_secs = now_secs - self._done_secs
+        if self._done_before and since_secs < LATECOMERS_SECS:
+            return False
         if set(awaited(self._state).values()) <= {SERVICE}:
             return since_secs >= ANNOUNCE_SECS
         linked_secs = now_secs - max(self._done_secs, self._unlinked_secs)
