@@ -12,6 +12,8 @@ from services.launcher.lines import Row, best_words, brief, score_table
 from services.launcher.run_folder import RunFolder
 from services.runtime.checkpoint import DRAFT_SUFFIX
 
+VIEW_VARIABLE = "BABBLE_VIEW"
+"""The environment variable with the command that shows a recording, where it is not `babble view`."""
 MOST_COLUMNS = 100
 MOST_ITERATIONS = 20
 """Of each block, in the table of scores at the end; the one that is kept is shown besides."""
@@ -36,7 +38,8 @@ def print_rows(rows: Sequence[Row], best: Mapping[str, Row], where: str) -> None
 def say_how_to_see_it(folder: RunFolder) -> None:
     """How to see the recording again, if there is one."""
     if folder.recorded():
-        print(f"see it again with: babble view {folder.shown}", flush=True)
+        command = os.environ.get(VIEW_VARIABLE) or f"babble view {folder.shown}"
+        print(f"see it again with: {command}", flush=True)
 
 
 def write_and_say(folder: RunFolder, *, rollouts: bool) -> None:

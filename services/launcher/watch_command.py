@@ -1,6 +1,7 @@
 """`babble watch`: follow a run until it is done, wherever it goes on, and write its report if asked to."""
 
 import argparse
+import os
 import signal
 import sys
 from contextlib import nullcontext
@@ -21,6 +22,9 @@ from services.launcher.records import Records
 from services.launcher.run_folder import RunFolder
 from services.launcher.timeline import timeline_of
 from services.runtime.errors import UserError
+
+DASHBOARD_VARIABLE = "BABBLE_DASHBOARD_URL"
+"""The environment variable with the dashboard's address, where only who starts the containers knows it."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,6 +54,8 @@ def run(arguments: argparse.Namespace) -> int:
                 f"run        {folder.shown if folder else asked.run}\nrouter     {asked.endpoint()}",
                 flush=True,
             )
+            if dashboard := os.environ.get(DASHBOARD_VARIABLE):
+                print(f"dashboard  {dashboard}", flush=True)
             if not follower.follow(interrupts):
                 print("no longer watching; the run goes on", flush=True)
                 return 128 + interrupts.numbers[0]

@@ -127,8 +127,9 @@ class Project:
         return container
 
     def read(self, path: str, service: str = "coordinator") -> str:
-        """A file of a running container; empty if there is none."""
-        return self.compose("exec", "-T", service, "cat", path, check=False).stdout
+        """A file of a running container; empty if one or the other is not there."""
+        done = self.compose("exec", "-T", service, "cat", path, check=False)
+        return done.stdout if done.returncode == 0 else ""
 
     def events(self, run: str, what: str) -> list[str]:
         """The texts of one kind of the run's milestones so far."""
@@ -143,7 +144,8 @@ class Project:
     def remove(self) -> None:
         """Containers, networks and volumes go."""
         self.compose("--profile", "*", "down", "--volumes", "--remove-orphans", "--timeout", "3", check=False)
-        leftover = docker(
-            "ps", "--all", "--quiet", "--filter", f"label=com.docker.compose.project={self.name}"
+        ours = f"label=com.docker.compose.project={self.name}"
+        left = docker("ps", "--all", "--quiet", "--filter", ours) + docker(
+            "volume", "ls", "--filter", ours, "--quiet"
         )
-        assert not leftover.split(), f"containers of {self.name} are left"
+        assert not left.split(), f"containers or volumes of {self.name} are left"

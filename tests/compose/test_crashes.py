@@ -25,7 +25,7 @@ updates = 50
 updates = 20
 [evaluation]
 columns = 4
-legs = 2
+legs = 3
 leg_steps = 20
 """
 RUN = "tiny"
@@ -39,7 +39,7 @@ def test_every_container_crashes_once_and_the_run_completes_with_nothing_lost_or
 ) -> None:
     host = project([ONE_HOST, scenario(MANY)], BABBLE_SCENARIO=RUN)
     up = host.start("up")
-    wait_for("PRACTISE", lambda: any(t.startswith("practise") for t in host.events(RUN, "phase")), BACK_SECS)
+    up.expect("PRACTISE", BACK_SECS)
     for service in VICTIMS:
         progress_after_crash_of(host, service)
     assert up.ended(RUN_SECS) == 0, up.report()

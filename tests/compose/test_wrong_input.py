@@ -87,7 +87,7 @@ def test_actors_elsewhere_say_what_is_wrong_with_their_credential(
     rubbish.chmod(0o644)
     expected = {
         certs.path_of("coordinator"): "is the credential of coordinator",
-        rubbish: "PEM",
+        rubbish: "is no credential",
     }
     for path, words in expected.items():
         settings = {"BABBLE_CONNECT": "tls/head:7447", "BABBLE_RUN": "cuboid", "BABBLE_CREDENTIAL": str(path)}
