@@ -1,9 +1,11 @@
 """Key expressions of the wire, and the delivery of each kind of message in one table."""
 
+import re
 from dataclasses import dataclass
 from typing import Literal
 
 from protocol.messages import (
+    NAME_PATTERN,
     Ack,
     Command,
     Message,
@@ -15,6 +17,7 @@ from protocol.messages import (
     Status,
     View,
 )
+from protocol.refusal import shown
 
 ROOT = "babble"
 SERVICES = (
@@ -133,12 +136,20 @@ def of(message: Message) -> str:
             return command(message.run, "*")
 
 
+_ALIVE = re.compile(f"{ROOT}/{NAME_PATTERN}/alive/(?P<service>{NAME_PATTERN})/(?P<life>{NAME_PATTERN})")
+
+
+def is_member(key: str) -> bool:
+    """True if `member` can read the key: whoever announces himself may choose the end of his own name."""
+    return _ALIVE.fullmatch(key) is not None
+
+
 def member(key: str) -> tuple[str, str]:
     """(service, life) of an `alive` key.
 
-    Raises ValueError if the key is not one.
+    Raises ValueError if the key is not one, or has another name in it than a header may have.
     """
-    chunks = key.split("/")
-    if len(chunks) != 5 or chunks[0] != ROOT or chunks[2] != "alive":
-        raise ValueError(f"{key!r} is not a liveliness key {alive('<run>', '<service>', '<life>')}")
-    return chunks[3], chunks[4]
+    found = _ALIVE.fullmatch(key)
+    if found is None:
+        raise ValueError(f"{shown(key)} is not a liveliness key {alive('<run>', '<service>', '<life>')}")
+    return found["service"], found["life"]

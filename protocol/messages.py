@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints
 
-Name = Annotated[str, StringConstraints(pattern=r"^[a-z0-9][a-z0-9_-]{0,63}$")]
+NAME_PATTERN = "[a-z0-9][a-z0-9_-]{0,63}"
+Name = Annotated[str, StringConstraints(pattern=f"^{NAME_PATTERN}$")]
 """A run, block, life or consumer: it becomes one chunk of a key expression."""
 Count = Annotated[int, Field(ge=0, le=2**53)]
 Text = Annotated[str, StringConstraints(max_length=2000)]

@@ -33,13 +33,15 @@ class Door:
         self._listen = config.listen
         self._credential_path, self._hosts_path = config.credential, config.hosts
         self._watched: dict[str, WatchedFile] = {}
-        self._credential = credential_for("router", config.listen, config.credential)
-        if self._credential is not None and config.credential is not None and config.hosts is not None:
+        if config.credential is not None and config.hosts is not None:
+            # Before they are read, so that no change is missed.
             self._watched = {
                 "credential": WatchedFile(config.credential),
                 "hosts": WatchedFile(config.hosts),
             }
-            self.hosts = read_hosts(config.hosts)
+        self._credential = credential_for("router", config.listen, config.credential)
+        if self._credential is not None:
+            self.hosts = self._new_hosts()
         self.router = self._open()
 
     @property

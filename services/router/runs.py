@@ -100,6 +100,8 @@ class Runs:
         return self._done and all(run.done for run in self._runs.values() if run.coordinators)
 
     def _hear_coordinator(self, key: str, present: bool) -> None:
+        if not keys.is_member(key):
+            return
         name = key.split("/")[1]
         run = self._runs.get(name)
         if run is None and present:
@@ -118,7 +120,7 @@ class Runs:
         if len(self._runs) >= MOST_RUNS:
             over = next((old for old, run in self._runs.items() if not run.coordinators), None)
             if over is None:
-                log.warning("run %.64s gets no status of the router, which already has %d", name, MOST_RUNS)
+                log.warning("run %s gets no status of the router, which already has %d", name, MOST_RUNS)
                 return None
             del self._runs[over]
         self._runs[name] = _Run(

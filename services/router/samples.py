@@ -5,9 +5,11 @@ import threading
 from collections import deque
 from dataclasses import dataclass, field
 
+from protocol import keys
 from protocol.gate import Gate
+from protocol.refusal import Reason
 from services.router.hosts import MOST_HOSTS
-from services.runtime.bus import Arrival, Frame, Inbox
+from services.runtime.bus import Arrival, Frame, Inbox, Membership
 from services.runtime.credentials import HOST_PATTERN
 
 MOST_FRAMES = 32
@@ -111,3 +113,12 @@ def fault(frame: Frame) -> tuple[str, str] | None:
     if gate.admit(frame.key, frame.data) is not None:
         return None
     return next(iter(gate.refused)), gate.last_refusal
+
+
+def misnamed(token: Membership) -> tuple[str, str] | None:
+    """Likewise of a token, which no process of a run can have."""
+    try:
+        keys.member(token.key)
+    except ValueError as error:
+        return Reason.WRONG_KEY, str(error)
+    return None

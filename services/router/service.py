@@ -8,6 +8,7 @@ from typing import Any
 
 from services.router.config import LINKS_PER_LIFE, RouterConfig, check_address
 from services.router.door import Door
+from services.router.ending import Ending
 from services.router.runs import Runs
 from services.router.sockets import allow_many
 from services.router.watch import POLL_SECS, Watch
@@ -16,8 +17,6 @@ from services.runtime.clock import RealClock
 log = logging.getLogger(__name__)
 
 STOP_SIGNALS = {signal.SIGTERM, signal.SIGINT}
-FAREWELL_SECS = 30.0
-"""After the run is done, clients have so long to leave."""
 
 
 def serve(config: RouterConfig, life: str) -> None:
@@ -45,15 +44,14 @@ class RouterService:
 
     def __init__(self, config: RouterConfig, life: str) -> None:
         allow_many()
-        self._until_done = config.until_done
+        self._ending = Ending() if config.until_done else None
         self._door = Door(config)
         self._runs = Runs(life)
         self._watch = Watch(config.limits) if self._door.closed_to_strangers else None
-        self._done_secs: float | None = None
         self._attach()
 
     def poll(self, now_secs: float) -> float | None:
-        """Seconds until the next poll; None once the run is done and all have left."""
+        """Seconds until the next poll; None once it may end by itself."""
         if self._door.renew():
             self._attach()
         self._runs.hear()
@@ -78,14 +76,10 @@ class RouterService:
         return {"totals": {"connections": connections, "clients": -(-connections // LINKS_PER_LIFE)}}
 
     def _may_end(self, now_secs: float) -> bool:
-        if not self._until_done or not self._runs.done():
-            self._done_secs = None
+        if self._ending is None:
             return False
-        self._done_secs = self._done_secs or now_secs
-        if not self._door.router.links():
-            log.info("the run is done and all have left")
-            return True
-        return now_secs - self._done_secs >= FAREWELL_SECS
+        connections = len(self._door.router.links())
+        return self._ending.may_end(now_secs, done=self._runs.done(), connections=connections)
 
 
 def _listen_to_signals() -> threading.Event:

@@ -13,7 +13,7 @@ from protocol import keys
 from services.router.bans import Bans
 from services.router.conduct import Conduct
 from services.router.config import LINKS_PER_LIFE, Limits
-from services.router.samples import Samples, fault, host_of
+from services.router.samples import Samples, fault, host_of, misnamed
 from services.router.sockets import COUNTS_BYTES, Connection, Peer, connections, cut, mute, peer_of
 from services.router.turnstile import Turnstile
 from services.runtime.bus import Arrival, Inbox, Membership
@@ -195,6 +195,8 @@ class Watch:
                 continue
             if (conduct := self._of(_identity(host_or_none))) is not None:
                 conduct.live(change.key, change.present, now_secs, self._limits)
+                if change.present and (wrong := misnamed(change)) is not None:
+                    self._count_garbage(conduct, *wrong, now_secs)
 
     def _look_for_garbage(self, now_secs: float) -> None:
         begun_secs = self._clock()
@@ -205,11 +207,13 @@ class Watch:
             self.totals["checked"] += 1
             wrong = fault(frame)
             conduct = self._of(_identity(host))
-            if wrong is None or conduct is None:
-                continue
-            reason, conduct.last_garbage = wrong
-            self.refused[reason] = self.refused.get(reason, 0) + 1
-            conduct.garbage.add(now_secs, 1)
+            if wrong is not None and conduct is not None:
+                self._count_garbage(conduct, *wrong, now_secs)
+
+    def _count_garbage(self, conduct: Conduct, reason: str, sentence: str, now_secs: float) -> None:
+        self.refused[reason] = self.refused.get(reason, 0) + 1
+        conduct.last_garbage = sentence
+        conduct.garbage.add(now_secs, 1)
 
     def _judge(self, links: dict[str, list[Peer]], now_secs: float) -> None:
         for identity, conduct in list(self._conduct.items()):

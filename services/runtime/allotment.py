@@ -26,12 +26,16 @@ class _Sender:
     """When it last delivered or was granted something after owing nothing."""
     segment_secs: float | None = None
     """Mean time of a segment in this term; None while that is not known."""
+    tried_anew: bool = False
+    """Its next delivery alone says how fast it is."""
 
     def note_delivery(self, segments: int, now_secs: float) -> None:
         """It has delivered so many more."""
         newest_secs = max(SHORTEST_SECS, (now_secs - self.since_secs) / segments)
-        before_secs = newest_secs if self.segment_secs is None else self.segment_secs
-        self.segment_secs = before_secs + NEWEST_SHARE * (newest_secs - before_secs)
+        before_secs = None if self.tried_anew else self.segment_secs
+        share = 1.0 if before_secs is None else NEWEST_SHARE
+        self.segment_secs = share * newest_secs + (1 - share) * (before_secs or 0.0)
+        self.tried_anew = False
 
     @property
     def owed(self) -> int:
@@ -98,8 +102,7 @@ class Allotment:
         while uncovered > 0 and (life := self._soonest(now_secs)) is not None:
             sender = self._senders[life]
             if sender.owed == 0:
-                if sender.idle(now_secs):
-                    sender.segment_secs = None
+                sender.tried_anew = sender.idle(now_secs)
                 sender.since_secs = now_secs
             sender.granted = max(sender.granted, sender.upto) + 1
             sender.granted_in_term += 1
@@ -121,7 +124,7 @@ class Allotment:
         for life, sender in self._senders.items():
             if sender.owed >= self._window or not self._trusted(sender, now_secs):
                 continue
-            unknown = sender.segment_secs is None or sender.idle(now_secs)
-            each_secs = fastest_secs if unknown else sender.segment_secs
+            known_secs = None if sender.idle(now_secs) else sender.segment_secs
+            each_secs = fastest_secs if known_secs is None else known_secs
             able.append(((sender.owed + 1) * each_secs, sender.owed, sender.granted_in_term, life))
         return min(able)[3] if able else None

@@ -45,7 +45,7 @@ _NO_TLS = Finding(
     lasting=False,
 )
 _SILENT = Finding(
-    f"what listens there says nothing of TLS within {KNOCK_SECS:.0f} s; it is busy or it does not encrypt, so "
+    f"what listens there says nothing of TLS within {KNOCK_SECS:.0f} s; it is busy or does not encrypt, so "
     "look into the router's log, or check the address",
     lasting=False,
 )

@@ -30,6 +30,8 @@ MAX_PENDING = 64
 """Router only: connections at a time that have not said yet who they are."""
 ACCEPT_TIMEOUT_MS = 3000
 """Router only: a stranger who connects and says nothing, or nothing sensible, is let go after so long."""
+PROTOCOLS = ("tcp", "tls")
+MOST_PORT = 65535
 DOOR = f"{ROOT}/@door"
 """The question that the router answers to whoever has any right; others hear nothing."""
 
@@ -48,11 +50,13 @@ class Address:
 
 
 def parse_address(endpoint: str) -> Address:
-    """The parts of an endpoint. Raises `BusError` if it does not look like tcp/HOST:PORT."""
-    protocol, slash, rest = endpoint.partition("/")
-    host, colon, port = rest.split("?")[0].split("#")[0].rpartition(":")
-    if not (protocol and slash and host and colon and port.isdecimal()):
-        raise BusError(f"{endpoint!r} is not an address; it must look like tcp/127.0.0.1:7447")
+    """The parts of an endpoint. Raises `BusError` unless it looks like tcp/HOST:PORT or tls/HOST:PORT."""
+    protocol, _, rest = endpoint.partition("/")
+    host, _, port = rest.split("?")[0].split("#")[0].rpartition(":")
+    if protocol not in PROTOCOLS or not host or not port.isdecimal() or int(port) > MOST_PORT:
+        raise BusError(
+            f"{endpoint!r} is not an address; it must look like tcp/127.0.0.1:7447 or tls/router.lan:7447"
+        )
     return Address(protocol, host.removeprefix("[").removesuffix("]"), int(port))
 
 

@@ -15,8 +15,7 @@ from typing import Any, Protocol
 import zenoh
 import zenoh.ext
 
-from protocol import keys
-from protocol.keys import DELIVERY, Delivery
+from protocol.keys import DELIVERY, Delivery, is_member
 from services.runtime import transport
 from services.runtime.bus import Frame, Inbox, Link, Membership, Question, Wakeup, refuse_oversized
 from services.runtime.closing import close_with_main_thread
@@ -122,11 +121,8 @@ class ZenohBus:
         self._declared.append(self._session("control").liveliness().declare_token(key))
 
     def watch(self, key_expr: str, inbox: Inbox) -> None:
-        """See `Bus.watch`. When this process's own link goes, all tokens are reported gone.
-
-        Keys that are no member's are left out: anybody may choose the end of his own life's name.
-        """
-        self._declared.append(_watch_tokens(self._session("control"), key_expr, inbox, _is_member))
+        """See `Bus.watch`, of members only. When this process's own link goes, all are reported gone."""
+        self._declared.append(_watch_tokens(self._session("control"), key_expr, inbox, is_member))
 
     def watch_link(self, inbox: Inbox) -> None:
         """See `Bus.watch_link`; up means that both connections are."""
@@ -268,10 +264,7 @@ class Router:
         self._declared.append(self._session.declare_subscriber(key_expr, callback))
 
     def watch(self, key_expr: str, inbox: Inbox) -> None:
-        """Put a `Membership` into the inbox for each token present now, and for each change.
-
-        Those are in it as well that no member of a run can have.
-        """
+        """Put a `Membership` into the inbox for each token present now and each change, whatever its key."""
         self._declared.append(_watch_tokens(self._session, key_expr, inbox, lambda _: True))
 
     def publish(self, kind: str, key: str, frame: bytes) -> None:
@@ -322,8 +315,8 @@ def open_router(
         router = Router(zenoh.open(_configured(settings)))
     except zenoh.ZError as error:
         raise BusError(
-            f"cannot listen at {endpoint} ({_reason(error)}); end the process that has this address, or choose "
-            "another address of this machine with --listen"
+            f"cannot listen at {endpoint} ({_reason(error)}); end the process that has this address, or "
+            "give --listen another address of this machine"
         ) from None
     router.open_door()
     return router
@@ -375,10 +368,7 @@ def _latest_publisher(session: zenoh.Session, key: str, row: Delivery) -> zenoh.
         key,
         **quality,
         express=row.priority == "real-time",
-        cache=zenoh.ext.CacheConfig(
-            max_samples=1,
-            replies_config=zenoh.ext.RepliesConfig(**quality),
-        ),
+        cache=zenoh.ext.CacheConfig(max_samples=1, replies_config=zenoh.ext.RepliesConfig(**quality)),
         sample_miss_detection=zenoh.ext.MissDetectionConfig(
             heartbeat=HEARTBEAT_SECS, sporadic_heartbeat=None
         ),
@@ -395,15 +385,6 @@ def _watch_tokens(
             inbox.put(Membership(key, sample.kind == zenoh.SampleKind.PUT))
 
     return session.liveliness().declare_subscriber(key_expr, hear, history=True)
-
-
-def _is_member(key: str) -> bool:
-    try:
-        keys.member(key)
-    except ValueError as error:
-        log.debug("left out: %s", error)
-        return False
-    return True
 
 
 def _watch_transports(session: zenoh.Session, hear: Callable[[bool], None]) -> _Undeclarable:

@@ -19,6 +19,8 @@ pytestmark = pytest.mark.processes
 RUN = "flooded"
 GOOD, EVIL = "actor-good-00000001", "actor-evil-00000001"
 GOOD_PER_SEC = 50
+LOW = ("--most-mb-per-sec", "20", "--most-messages-per-sec", "400", "--most-lives", "12")
+"""Limits that a flood soon exceeds, and the good actor does not."""
 CUT_SECS = 8.0
 """Within so long a flood must be over."""
 WORST_GAP_SECS = 1.0
@@ -184,17 +186,17 @@ def flooded(owner: Owner, tmp_path: Path) -> Iterator[Callable[..., FloodedRun]]
     ("what", "amount", "named"),
     [
         ("1000000", 0, "MB/s"),
-        ("100", 0, "messages/s"),
         ("garbage", 20, "frames of garbage"),
-        ("borrowed", 20, "frames of garbage"),
         ("lives", 100, "processes at once"),
-        ("connections", 20, "connections at once"),
+        pytest.param("100", 0, "messages/s", marks=pytest.mark.slow),
+        pytest.param("borrowed", 20, "frames of garbage", marks=pytest.mark.slow),
+        pytest.param("connections", 20, "connections at once", marks=pytest.mark.slow),
     ],
 )
 def test_a_flood_is_cut_off_named_and_counted_while_another_host_goes_on(
     flooded: Callable[..., FloodedRun], what: str, amount: int, named: str
 ) -> None:
-    run = flooded("--most-lives", "12")
+    run = flooded(*LOW)
     good = run.good_actor()
     evil = run.actor("evil", what, amount)
     line = run.log_line("cut off")
@@ -208,8 +210,7 @@ def test_a_flood_is_cut_off_named_and_counted_while_another_host_goes_on(
     assert status is not None
     assert "actor.evil" in status.last_error
     assert status.totals["banned"] == 1
-    before, cut = run.segments.heard[GOOD], run.total("turned_away")
-    wait_for("the end of a new connection of the evil one", lambda: run.total("turned_away") >= cut + 2)
+    before = run.segments.heard[GOOD]
     wait_for("the good one's segments", lambda: run.segments.heard[GOOD] > before + GOOD_PER_SEC)
     assert good.running()
     assert run.segments.worst_secs[GOOD] < WORST_GAP_SECS
@@ -221,7 +222,7 @@ def test_a_flood_is_cut_off_named_and_counted_while_another_host_goes_on(
 def test_what_a_banned_host_sends_hardly_arrives(
     flooded: Callable[..., FloodedRun], what: str, amount: int
 ) -> None:
-    run = flooded()
+    run = flooded(*LOW)
     run.actor("evil", what, amount)
     run.log_line("cut off")
     heard, cut, since_secs = run.segments.heard[EVIL], run.total("turned_away"), time.monotonic()
@@ -239,6 +240,7 @@ def test_garbage_is_counted_by_reason(flooded: Callable[..., FloodedRun]) -> Non
     assert set(status.refused) == {"malformed"}
 
 
+@pytest.mark.slow
 def test_an_actor_that_works_hard_is_not_cut_off(flooded: Callable[..., FloodedRun]) -> None:
     run = flooded()
     run.actor("good", "1000000", 40)

@@ -1,7 +1,7 @@
 """The bus between processes does what `Bus` promises, through a real router."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import pytest
 
@@ -18,6 +18,13 @@ pytestmark = pytest.mark.processes
 Connect = Callable[[str], ZenohBus]
 MODEL = keys.model("r", "encoder", "body")
 PHASE = keys.phase("r")
+
+
+@pytest.fixture(scope="module")
+def router() -> Iterator[RunningRouter]:
+    """One for all: nothing of a test is left once its connections are closed."""
+    with Owner() as owner:
+        yield owner.router()
 
 
 def newest(inbox: Inbox) -> Callable[[], Frame | None]:

@@ -1,6 +1,7 @@
 """The one loop as a real process: how a service ends, in order and out of order."""
 
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -44,6 +45,13 @@ class Service:
 mood = sys.argv.pop(1)
 sys.exit(run_process("encoder_learner", lambda context: Service(context, mood)))
 """
+
+
+@pytest.fixture(scope="module")
+def router() -> Iterator[RunningRouter]:
+    """One for all: nothing of a test is left once its processes have ended."""
+    with Owner() as owner:
+        yield owner.router()
 
 
 @pytest.fixture

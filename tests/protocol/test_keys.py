@@ -44,6 +44,7 @@ def test_only_what_may_not_be_lost_blocks_its_sender():
 @given(run=names, service=names, life=names)
 def test_a_liveliness_key_says_who_lives(run, service, life):
     assert keys.member(keys.alive(run, service, life)) == (service, life)
+    assert keys.is_member(keys.alive(run, service, life))
 
 
 @pytest.mark.parametrize(
@@ -54,8 +55,14 @@ def test_a_liveliness_key_says_who_lives(run, service, life):
         "babble/r/alive/actor/a/b",
         "other/r/alive/actor/a",
         "babble/r/status/actor/a",
+        "babble/*/alive/actor/a",
+        "babble/r/alive/actor/a-$*",
+        "babble/r/alive/actor/A",
+        "babble/r/alive/actor/a\n",
+        "babble/r/alive/actor/" + "a" * 65,
     ],
 )
 def test_another_key_is_no_liveliness_key(key):
     with pytest.raises(ValueError, match="is not a liveliness key babble/<run>/alive/<service>/<life>"):
         keys.member(key)
+    assert not keys.is_member(key)

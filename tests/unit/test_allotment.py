@@ -72,6 +72,25 @@ def test_an_actor_that_was_slow_once_is_tried_again() -> None:
     assert allotment.grant(15.0)["slow"] == 2
 
 
+def test_an_actor_that_is_tried_again_and_was_quick_is_slow_no_more() -> None:
+    """Such as the fast one, which seemed slow while the learner itself was busy for a minute."""
+    allotment = fresh()
+    for life in ("fast", "slow"):
+        allotment.appeared(life, 0, 0.0)
+    allotment.want(16)
+    allotment.grant(0.0)
+    allotment.received("slow", upto=1, columns=8, now_secs=0.4)
+    allotment.received("fast", upto=1, columns=8, now_secs=60.0)
+    allotment.want(8)
+    assert allotment.grant(66.0) == {"fast": 2, "slow": 1}
+    allotment.received("fast", upto=2, columns=8, now_secs=66.1)
+    allotment.want(16)
+    assert allotment.grant(66.1) == {"fast": 3, "slow": 2}, "both were asked for nothing for so long"
+    allotment.received("fast", upto=3, columns=8, now_secs=66.2)
+    allotment.received("slow", upto=2, columns=8, now_secs=66.6)
+    assert allotment.grant(66.6) == {"fast": 5, "slow": 2}
+
+
 def test_what_a_vanished_actor_owes_is_granted_to_the_others() -> None:
     allotment = fresh()
     for life in ("a", "b"):

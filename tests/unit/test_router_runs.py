@@ -76,6 +76,14 @@ def test_many_runs_get_no_more_than_it_can_serve(caplog: pytest.LogCaptureFixtur
     assert "late" in {status.run for status in stage.poll()}
 
 
+@pytest.mark.parametrize("run", ["*", "a b", "R", "x" * 100])
+def test_what_is_no_runs_name_gets_nothing_and_harms_nobody(run: str) -> None:
+    stage = Stage()
+    stage.coordinator(run)
+    stage.coordinator("r")
+    assert [status.run for status in stage.poll()] == ["r"]
+
+
 def test_done_means_that_a_run_is_done_and_no_other_goes_on() -> None:
     stage = Stage()
     stage.poll()

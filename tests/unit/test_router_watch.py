@@ -47,6 +47,13 @@ def have_many_lives(stage: WatchStage) -> None:
         stage.router.announces(ALIVE, keys.alive("r", "actor", f"actor-lab-{number:08x}"))
 
 
+def have_lives_that_nobody_can_have(stage: WatchStage) -> None:
+    for end in ("A", "$*"):
+        for run in ("r", "*", "s"):
+            stage.router.announces(ALIVE, f"babble/{run}/alive/actor/actor-lab-{end}")
+            stage.router.announces(ALIVE, f"babble/{run}/alive/actor/actor-lab-{end}", present=False)
+
+
 def come_and_go(stage: WatchStage) -> None:
     for number in range(501):
         stage.router.announces(ALIVE, keys.alive("r", "actor", LIFE), present=number % 2 == 0)
@@ -65,6 +72,7 @@ def connect_often(stage: WatchStage) -> None:
         (send_garbage, "6 frames of garbage in 10 s (limit 5), the last: not a MessagePack frame"),
         (send_another_ones_status, "its header belongs to"),
         (have_many_lives, "more than 3 processes at once"),
+        (have_lives_that_nobody_can_have, "6 frames of garbage in 10 s (limit 5), the last: 'babble/s/alive"),
         (come_and_go, "messages/s"),
         (connect_often, "7 connections at once (limit 6)"),
     ],
