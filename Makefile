@@ -34,8 +34,10 @@ check: setup
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 
+# Tests with real processes measure times, so they run one by one; the others share two cores.
 test: check
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest -m "not slow" -n 2 tests/unit tests/protocol tests/simulated
+	$(BIN)/python -m pytest -m "not slow" tests/processes
 
 test-slow: setup
 	$(BIN)/python -m pytest -m slow --timeout 3600

@@ -20,7 +20,7 @@ scenario = "tiny"
 [actors]
 envs_per_actor = 2
 [phases]
-babble_steps = 2000000
+babble_steps = 5000000
 ground_steps = 8192
 walk_steps = 4096
 practise_steps = 4096

@@ -31,6 +31,7 @@ def babble(owner: Owner) -> Babble:
     return start
 
 
+@pytest.mark.slow
 def test_a_run_by_hand_is_prepared_watched_from_two_sides_and_reported(
     owner: Owner, babble: Babble, tmp_path: Path
 ) -> None:
