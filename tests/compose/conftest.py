@@ -2,6 +2,7 @@
 
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -53,15 +54,14 @@ def owner() -> Iterator[Owner]:
 @pytest.fixture
 def project(images: None, owner: Owner) -> Iterator[MakeProject]:
     """Makes projects of given files and environment; all are removed at the end of the test."""
-    made: list[Project] = []
+    with ExitStack() as removing:
 
-    def make(files: Sequence[Path] = (ONE_HOST,), **environment: str) -> Project:
-        made.append(Project(owner, files, environment))
-        return made[-1]
+        def make(files: Sequence[Path] = (ONE_HOST,), **environment: str) -> Project:
+            made = Project(owner, files, environment)
+            removing.callback(made.remove)
+            return made
 
-    yield make
-    for each in made:
-        each.remove()
+        yield make
 
 
 @pytest.fixture

@@ -142,10 +142,13 @@ class Project:
         return into / run if (into / run).is_dir() else into
 
     def remove(self) -> None:
-        """Containers, networks and volumes go."""
-        self.compose("--profile", "*", "down", "--volumes", "--remove-orphans", "--timeout", "3", check=False)
+        """Containers, networks and volumes go; a container of `run --rm` holds a volume until it is away."""
         ours = f"label=com.docker.compose.project={self.name}"
-        left = docker("ps", "--all", "--quiet", "--filter", ours) + docker(
-            "volume", "ls", "--filter", ours, "--quiet"
-        )
-        assert not left.split(), f"containers or volumes of {self.name} are left"
+        down = ("--profile", "*", "down", "--volumes", "--remove-orphans", "--timeout", "3")
+
+        def gone() -> bool:
+            self.compose(*down, check=False)
+            containers = docker("ps", "--all", "--quiet", "--filter", ours)
+            return not (containers + docker("volume", "ls", "--filter", ours, "--quiet")).split()
+
+        wait_for(f"containers and volumes of {self.name} to go", gone, COMMAND_SECS)
