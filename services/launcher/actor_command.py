@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
 
-from services.launcher.child import NOT_INHERITED, ONE_THREAD
+from services.launcher.child import child_environment
 from services.launcher.crew import Crew
 from services.launcher.interrupts import Interrupts
 from services.runtime.credentials import add_credential_option, credential_for
@@ -129,7 +129,6 @@ class Actor:
     def __init__(self, name: str, command: Sequence[str]) -> None:
         """Starts it. Raises `UserError` if the operating system refuses."""
         self.name, self.last_words = name, ""
-        inherited = {name: value for name, value in os.environ.items() if name not in NOT_INHERITED}
         try:
             # On Linux it dies with the thread that calls here, which is the main thread. In a session of its
             # own, so that Ctrl-C reaches the launcher alone.
@@ -138,7 +137,7 @@ class Actor:
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
-                env={**dict.fromkeys(ONE_THREAD, "1"), **inherited},
+                env=child_environment(),
                 start_new_session=True,
                 text=True,
                 errors="replace",

@@ -16,6 +16,12 @@ NOT_INHERITED = ("BABBLE_CREDENTIAL", "BABBLE_HEALTH", "BABBLE_RUN", "BABBLE_UNT
 """What is meant for one process is said on its command line; these would be meant for the launcher."""
 
 
+def child_environment() -> dict[str, str]:
+    """The environment of a process that is one of several here: this one's, but for what is meant for it."""
+    inherited = {name: value for name, value in os.environ.items() if name not in NOT_INHERITED}
+    return {**dict.fromkeys(ONE_THREAD, "1"), **inherited}
+
+
 class ChildProcess:
     """A started process; only `poll` waits for it."""
 
@@ -23,8 +29,6 @@ class ChildProcess:
         """Starts it. Raises `UserError` if the operating system refuses."""
         # On Linux it dies with the thread that calls here: the launcher starts all from its main thread.
         command = tethered([sys.executable, *part.arguments])
-        inherited = {name: value for name, value in os.environ.items() if name not in NOT_INHERITED}
-        environment = {**dict.fromkeys(ONE_THREAD, "1"), **inherited}
         try:
             part.log.parent.mkdir(parents=True, exist_ok=True)
             with part.log.open("ab") as log:
@@ -34,7 +38,7 @@ class ChildProcess:
                     stdin=subprocess.DEVNULL,
                     stdout=log,
                     stderr=log,
-                    env=environment,
+                    env=child_environment(),
                     start_new_session=True,
                 )
         except OSError as error:
