@@ -1,6 +1,7 @@
 """A Composer block and the tree of blocks (Hi-Composer, thesis 3.5): who observes and drives what."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -8,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Indices = NDArray[np.intp]
+MOST_NAMED = 3
+"""So many names stand in a sentence about many."""
 
 
 class BlockError(ValueError):
@@ -29,16 +32,19 @@ class BlockSpec:
 
 
 class Described(Protocol):
-    """A description of a block with the fields of `BlockSpec`, as lists where it likes."""
+    """A description of a block with the fields of `BlockSpec`, as lists where it likes.
+
+    What a leaf observes and drives may also be described by patterns of names; see babble.bodies.tree_of.
+    """
 
     @property
     def name(self) -> str: ...
     @property
     def latent_dim(self) -> int: ...
     @property
-    def observes(self) -> Sequence[int] | None: ...
+    def observes(self) -> Sequence[int] | Sequence[str] | None: ...
     @property
-    def drives(self) -> Sequence[int] | None: ...
+    def drives(self) -> Sequence[int] | Sequence[str] | None: ...
     @property
     def children(self) -> Sequence[str]: ...
 
@@ -49,31 +55,25 @@ class BlockTree:
     Raises `BlockError` otherwise.
     """
 
-    def __init__(self, specs: Sequence[BlockSpec], observation_size: int, action_size: int) -> None:
+    def __init__(
+        self,
+        specs: Sequence[BlockSpec],
+        observation_size: int,
+        action_size: int,
+        *,
+        action_names: Sequence[str] = (),
+    ) -> None:
+        """`action_names` are those of the body's actuators, for what is said of them."""
         self.specs = {spec.name: spec for spec in specs}
         self._observation_size = observation_size
         self._action_size = action_size
+        self._action_names = action_names or [str(actuator) for actuator in range(action_size)]
         _check_names(specs)
         _check_children(specs)
         self._levels = _levels(self.specs)
         for spec in specs:
             self._check_slices(spec)
         self._check_actuators()
-
-    @classmethod
-    def of(cls, described: Iterable[Described], observation_size: int, action_size: int) -> "BlockTree":
-        """The tree of blocks described elsewhere, for example in a run's settings."""
-        specs = [
-            BlockSpec(
-                name=block.name,
-                latent_dim=block.latent_dim,
-                observes=None if block.observes is None else tuple(block.observes),
-                drives=None if block.drives is None else tuple(block.drives),
-                children=tuple(block.children),
-            )
-            for block in described
-        ]
-        return cls(specs, observation_size, action_size)
 
     @property
     def levels(self) -> int:
@@ -97,6 +97,17 @@ class BlockTree:
         """Which of the body's actuators a leaf drives; empty for a block with children."""
         spec = self._spec(name)
         return _indices(spec.drives, self._action_size) if not spec.children else _indices((), 0)
+
+    def leaves_of(self, name: str) -> list[BlockSpec]:
+        """The leaves through which a block acts, left to right; a leaf acts through itself."""
+        spec = self._spec(name)
+        return (
+            [leaf for child in spec.children for leaf in self.leaves_of(child)] if spec.children else [spec]
+        )
+
+    def driven_through(self, name: str) -> Indices:
+        """Which of the body's actuators a block drives itself or through its descendants, in their order."""
+        return np.sort(np.concatenate([self.driven(leaf.name) for leaf in self.leaves_of(name)]))
 
     def child_slices(self, name: str) -> dict[str, slice]:
         """Where each child's part lies in a block's observation (its latent) and action (its goal)."""
@@ -155,8 +166,8 @@ class BlockTree:
                 raise BlockError(
                     f"block {spec.name!r} {word} {outside[0]}, but the world has 0 to {size - 1}"
                 )
-            if len(set(given)) != len(given):
-                raise BlockError(f"block {spec.name!r} {word} an index twice")
+            if twice := [index for index, times in Counter(given).items() if times > 1]:
+                raise BlockError(f"block {spec.name!r} {word} {twice[0]} twice")
 
     def _check_actuators(self) -> None:
         driver: dict[int, str] = {}
@@ -164,11 +175,22 @@ class BlockTree:
             for actuator in self.driven(spec.name).tolist():
                 if actuator in driver:
                     raise BlockError(
-                        f"actuator {actuator} is driven by both {driver[actuator]!r} and {spec.name!r}"
+                        f"actuator {self._action_names[actuator]} is driven by both {driver[actuator]!r} "
+                        f"and {spec.name!r}; take it out of one of them"
                     )
                 driver[actuator] = spec.name
         if idle := sorted(set(range(self._action_size)) - set(driver)):
-            raise BlockError(f"no block drives actuator {idle[0]} of the world's {self._action_size}")
+            names = shortened([self._action_names[actuator] for actuator in idle])
+            raise BlockError(
+                f"no block drives {len(idle)} of the world's {self._action_size} actuators ({names}); "
+                "each must be driven by one block"
+            )
+
+
+def shortened(names: Sequence[str]) -> str:
+    """The first few of a list of names, each once, with a sign that there are more."""
+    once = list(dict.fromkeys(names))
+    return ", ".join([*once[:MOST_NAMED], *(["..."] if len(once) > MOST_NAMED else [])])
 
 
 def _indices(given: tuple[int, ...] | None, size: int) -> Indices:

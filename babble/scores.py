@@ -11,10 +11,9 @@ from typing import TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from babble.blocks import BlockTree
 from babble.landmarks import Landmark
-from babble.legs import Acts, Encodes, Legs, Path, Walk, Walker, walk_blocks, walk_legs
-from babble.worlds.batch import World
+from babble.legs import Legs, Path, Walk, Walker, walk_blocks, walk_legs
+from babble.policy.together import Acts, Encodes
 
 __all__ = [
     "REACHED",
@@ -25,7 +24,6 @@ __all__ = [
     "ScoreValues",
     "Walk",
     "Walker",
-    "landmarks_of",
     "score",
     "walk_blocks",
     "walk_legs",
@@ -50,15 +48,6 @@ class ScoreValues(TypedDict):
     landmark_vertices: dict[str, int]
     external_reward: float | None
     external_reward_by_vertex: list[float | None] | None
-
-
-def landmarks_of(world: World, tree: BlockTree) -> tuple[Landmark, ...]:
-    """The landmarks by which the blocks that move a world are scored.
-
-    A landmark is a posture of the whole body, so it is asked of a block that moves all of it, and of
-    none that moves a part beside others.
-    """
-    return world.landmarks if len(tree.level(0)) == 1 else ()
 
 
 def score(

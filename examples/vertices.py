@@ -13,14 +13,15 @@ from services.launcher.evaluate import load_models, open_run, roll_out
 
 
 def main(where: str, path: Path) -> float:
-    """Writes the picture of the first block's ends; returns their z_min."""
+    """Writes the picture of the first block's ends, of a tree the highest one's; returns their z_min."""
     run = open_run(where)
-    versions = [run.version(block) for block in run.blocks]
+    blocks = run.levels[max(run.levels)]
+    versions = [run.version(block) for block in blocks]
     rollout = roll_out(run, versions, {version.block: load_models(run, version) for version in versions})
     world = run.world(1, [0])
     if not isinstance(world, MujocoWorld):
         raise SystemExit(f"{world.id} has no body to picture")
-    draw_reached(path, rollout, run.blocks[0], world, f"{run.name}: where goals lead")
+    draw_reached(path, rollout, blocks[0], world, f"{run.name}: where goals lead")
     return rollout.scores()[0].z_min
 
 

@@ -1,6 +1,6 @@
 """What a world is: copies of one body, stepped together, as actors use them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal, Protocol
@@ -62,13 +62,32 @@ class World(Protocol):
         ...
 
     @property
+    def observation_names(self) -> tuple[str, ...]:
+        """(n,) "sense/component", such as "position/robot:left_knee"; numbers may share a name."""
+        ...
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """(a,) the actuators, such as "act:left_knee"; components may share a name."""
+        ...
+
+    @property
     def posture_size(self) -> int:
         """p, the length of one posture."""
         ...
 
     @property
+    def moves(self) -> tuple[tuple[int, ...], ...]:
+        """(a,) for each component of the action, the components of the posture that it moves by itself."""
+        ...
+
+    @property
     def diameter(self) -> float:
         """The greatest distance between two postures, the unit of separation."""
+        ...
+
+    def span(self, components: Sequence[int]) -> float:
+        """The greatest distance between two postures in these components alone."""
         ...
 
     @property
@@ -116,8 +135,11 @@ class PointWorld:
     landmarks: tuple[Landmark, ...] = ()
     posture_names: tuple[str, ...] = ()
     rewarded = False
+    observation_names = ("position/x", "position/y", "position/z")
     action_size = 3
+    action_names = ("x", "y", "z")
     posture_size = 3
+    moves = ((0,), (1,), (2,))
 
     def __init__(
         self,
@@ -143,6 +165,10 @@ class PointWorld:
     def diameter(self) -> float:
         """The body's diameter."""
         return self.body.diameter
+
+    def span(self, components: Sequence[int]) -> float:
+        """The body's span in these of x, y and z."""
+        return self.body.span(components)
 
     def reset(self, start: Start = "centre") -> Floats:
         """Put all points at the origin, or anywhere in the body."""

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 Points = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
+AXES = (0, 1, 2)
 NEWTON_STEPS = 64
 """Bound of the ellipsoid's Newton iteration, which needs fewer than ten for a step past the wall."""
 
@@ -26,6 +27,10 @@ class Body(Protocol):
     @property
     def diameter(self) -> float:
         """The greatest distance between two of its points."""
+        ...
+
+    def span(self, axes: Sequence[int]) -> float:
+        """The greatest distance between two of its points in these of the axes 0, 1 and 2; 0 for none."""
         ...
 
     @property
@@ -54,7 +59,11 @@ class CuboidBody:
     @property
     def diameter(self) -> float:
         """Its space diagonal."""
-        return 2 * math.hypot(*self.half_sizes)
+        return self.span(AXES)
+
+    def span(self, axes: Sequence[int]) -> float:
+        """The diagonal of its projection."""
+        return 2 * math.hypot(*(self.half_sizes[axis] for axis in axes))
 
     @cached_property
     def extent(self) -> Points:
@@ -82,7 +91,11 @@ class EllipsoidBody:
     @property
     def diameter(self) -> float:
         """Its longest axis."""
-        return 2 * max(self.semi_axes)
+        return self.span(AXES)
+
+    def span(self, axes: Sequence[int]) -> float:
+        """The longest axis of its projection."""
+        return 2 * max((self.semi_axes[axis] for axis in axes), default=0.0)
 
     @cached_property
     def extent(self) -> Points:
@@ -137,7 +150,13 @@ class DumbbellBody:
     @property
     def diameter(self) -> float:
         """From the outer end of one lobe to that of the other."""
-        return 2 * (self.lobe_centre + self.lobe_radius)
+        return self.span(AXES)
+
+    def span(self, axes: Sequence[int]) -> float:
+        """End to end where the long axis is among them, else across a lobe."""
+        if 0 in axes:
+            return 2 * (self.lobe_centre + self.lobe_radius)
+        return 2 * self.lobe_radius if axes else 0.0
 
     @cached_property
     def extent(self) -> Points:

@@ -7,11 +7,12 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from babble.patterns import matching
 from babble.worlds.batch import Start
 from babble.worlds.checks import check_texts, shown
 from babble.worlds.physics.actuation import Indices
 from babble.worlds.physics.env import BodyParameters, MujocoEnv, blueprint
-from babble.worlds.physics.patterns import matching, names_of
+from babble.worlds.physics.names import names_of
 from babble.worlds.physics.task import Play
 from babble.worlds.physics.world import Blueprint
 

@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -51,18 +52,19 @@ def scenario_settings(scenario: str, *, actors: int | None, seed: int | None) ->
 
 
 def check_world(settings: RunSettings, *, origin: str) -> None:
-    """Raise `SettingsError` if the world or the tree of blocks cannot be built."""
-    from babble.blocks import BlockTree
-    from babble.worlds import make
+    """Raise `SettingsError` if the world or the tree of blocks cannot be built.
 
+    What several blocks leave out or share of the observation is told on standard error.
+    """
+    from babble.bodies import make_body, remarks
+
+    world_id, parameters = settings.world.id, settings.world.parameters
     try:
-        world = make(settings.world.id, settings.world.parameters, columns=1, seed=0)
-        tree = BlockTree.of(settings.block, world.observation_size, world.action_size)
+        world, tree = make_body(world_id, parameters, settings.block, columns=1, seed=0)
     except (ValueError, TypeError) as error:
         raise SettingsError(f"{origin}: {error}") from None
-    if tree.levels > 1:
-        parents = ", ".join(spec.name for spec in tree.level(1))
-        raise SettingsError(f"{origin}: block {parents} has children, and such blocks cannot act yet")
+    for remark in remarks(tree, world):
+        print(f"{origin}: {remark}", file=sys.stderr)
 
 
 def at_least(least: int, most: int | None = None) -> Callable[[str], int]:

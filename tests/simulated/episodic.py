@@ -1,6 +1,6 @@
 """A world whose episodes end and whose simulation may break down, for tests; see `Episodic`."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,11 @@ class EpisodicWorld:
 
     id = "Episodic"
     observation_size = 2
+    observation_names = ("place/x", "age/steps")
     action_size = 1
+    action_names = ("x",)
     posture_size = 1
+    moves = ((0,),)
     diameter = 2.0
     crossing_axis = None
     posture_names: tuple[str, ...] = ()
@@ -61,6 +64,9 @@ class EpisodicWorld:
         self.restarted.append(columns.copy())
         self._place[columns], self._age[columns] = 0.0, 0
         return self._observation()
+
+    def span(self, components: Sequence[int]) -> float:
+        return 2.0 * len(components)
 
     def posture(self) -> Floats:
         return self._place[:, None].astype(np.float32)

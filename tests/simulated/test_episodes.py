@@ -197,14 +197,14 @@ def test_without_a_task_no_reward_is_sent_and_none_is_scored(tiny: RunSettings, 
     [
         ({"world": WorldSettings(id="Sphere")}, "there is no world 'Sphere'"),
         ({"world": WorldSettings(id="Cuboid", parameters={"speed": "fast"})}, "Cuboid: "),
-        ({"world": WorldSettings(id="Episodic")}, "has the child 'tail', which does not exist"),
+        ({"world": WorldSettings(id="Episodic")}, "observes 9, but the world has 0 to 1"),
     ],
 )
 def test_a_world_or_blocks_that_cannot_be_are_one_sentence(
     episodic: Make, simulate: Simulate, service: str, change: dict[str, Any], sentence: str
 ) -> None:
     settings = episodic()
-    blocks = [settings.block[0].model_copy(update={"children": ["tail"]})]
+    blocks = [settings.block[0].model_copy(update={"observes": [9]})]
     simulation = simulate(settings.model_copy(update={"block": blocks, **change}))
     with pytest.raises(SettingsError, match=sentence):
         simulation.start(service, f"{service}-0")

@@ -41,9 +41,10 @@ def test_actors_and_seed_of_the_command_line_replace_the_scenarios() -> None:
         ({"world": {"parameters": {"sped": 1}}}, "no parameter 'sped'"),
         ({"world": {"parameters": {"speed": "fast"}}}, "speed must be"),
         ({"block": [{"observes": [7]}]}, "observes 7"),
+        ({"block": [{"drives": ["x", "w"]}]}, "no actuator matches 'w'; there are x, y, z"),
         (
-            {"block": [{"name": "finger"}, {"name": "hand", "children": ["finger"]}]},
-            "block hand has children, and such blocks cannot act yet",
+            {"block": [{"name": "a", "drives": ["x"]}, {"name": "b", "drives": ["y"]}]},
+            r"no block drives 1 of the world's 3 actuators \(z\)",
         ),
     ],
 )
@@ -52,3 +53,22 @@ def test_worlds_and_blocks_are_tried_out(table: dict[str, object], sentence: str
     with pytest.raises(SettingsError, match=sentence) as refused:
         check_world(settings, origin="x.toml")
     assert str(refused.value).startswith("x.toml: ")
+
+
+def test_what_several_blocks_leave_out_or_share_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    blocks = [
+        {"name": "a", "observes": ["x", "y"], "drives": ["x"]},
+        {"name": "b", "observes": ["y"], "drives": ["y", "z"]},
+        {"name": "both", "children": ["a", "b"]},
+    ]
+    check_world(parse({"scenario": "x", "block": blocks}, origin="x.toml"), origin="x.toml")
+    assert capsys.readouterr().err.splitlines() == [
+        "x.toml: nobody observes 1 of 3 components (position/z)",
+        "x.toml: more than one block observes 1 of 3 components (position/y)",
+    ]
+
+
+@pytest.mark.parametrize("block", [{}, {"observes": ["x"]}])
+def test_one_block_is_not_remarked_upon(block: dict[str, object], capsys: pytest.CaptureFixture[str]) -> None:
+    check_world(parse({"scenario": "x", "block": [block]}, origin="x.toml"), origin="x.toml")
+    assert capsys.readouterr().err == ""

@@ -118,6 +118,23 @@ def test_the_rollover_body_has_the_published_sizes() -> None:
     assert not any(step.terminated[0] for step in steps)
 
 
+def test_the_rollover_body_may_have_five_fingered_hands_which_are_all_driven() -> None:
+    world = world_of("MimoRollover", hands="five_finger", head_held=False)
+    assert (world.action_size, world.observation_size, world.posture_size) == (88, 182, 91)
+    still = {"robot:hip_lean2", "robot:hip_rot2", "robot:hip_bend2"}
+    moved = {world.posture_names[joint] for joints in world.moves for joint in joints}
+    assert moved == set(world.posture_names) - still, "the spine's second hinges follow the first"
+    world.reset()
+    rng, seen = np.random.default_rng(0), []
+    for _ in range(150):
+        step = world.step(rng.uniform(-1, 1, (1, 88)).astype(np.float32))
+        assert step.failed is None
+        seen.append(world.posture()[0])
+    assert (np.std(seen, axis=0) > 0.03).all(), "every joint moves, down to the fingers' tips"
+    with pytest.raises(WorldError, match="hands must be one of mitten, five_finger; got 'claws'"):
+        world_of("MimoRollover", hands="claws")
+
+
 @pytest.mark.parametrize(("start", "facing"), [("supine", 1), ("prone", -1)])
 def test_the_body_lies_still_on_its_back_or_belly(start: str, facing: int) -> None:
     world = world_of("MimoRollover", columns=3, start=start)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from babble.worlds.physics.patterns import PatternError, matching
+from babble.patterns import PatternError, matching
 
 NAMES = ["left_knee", "", "right_knee", "right_hip", "left_hip"]
 

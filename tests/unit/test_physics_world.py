@@ -72,6 +72,35 @@ def test_random_starts_fill_the_ranges_and_the_usual_start_is_the_models_own_pos
     assert_array_equal(world_of(columns=400).reset("random"), world_of(columns=400).reset("random"))
 
 
+def test_what_each_actuator_moves_is_known_also_through_tendons_and_without_names() -> None:
+    text = ARM.replace(
+        '<motor name="bend" joint="elbow"', '<motor tendon="both" gear="1"/><motor name="bend" joint="elbow"'
+    ).replace(
+        "<actuator>",
+        '<tendon><fixed name="both"><joint joint="shoulder" coef="1"/><joint joint="elbow" coef="-1"/>'
+        "</fixed></tendon><actuator>",
+    )
+    model = mujoco.MjModel.from_xml_string(text)
+    plan = blueprint(
+        "Arm",
+        model,
+        BodyParameters(senses=["velocity", "vestibular"]),
+        joints=BOTH[::-1],
+        actuators=np.arange(3),
+        task=lambda: Play(model, BOTH),
+    )
+    world = MujocoWorld(plan, 1, np.random.default_rng(0))
+    assert world.moves == ((1,), (0, 1), (0,))
+    assert world.action_names == ("lift", "1", "bend")
+    assert world.observation_names[:3] == (
+        "velocity/elbow",
+        "velocity/shoulder",
+        "vestibular/acceleration",
+    )
+    assert world.observation_names[-1] == "vestibular/rotation"
+    assert len(world.observation_names) == world.observation_size
+
+
 def test_an_episode_is_cut_off_after_its_steps_and_only_flagged_copies_begin_again() -> None:
     world = world_of(columns=2, episode_steps=3)
     world.reset()

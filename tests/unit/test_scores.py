@@ -1,10 +1,9 @@
 import numpy as np
 import pytest
 
-from babble.blocks import BlockSpec, BlockTree
 from babble.landmarks import Landmark
 from babble.policy.goals import one_hot
-from babble.scores import Legs, Walker, landmarks_of, score, walk_blocks, walk_legs
+from babble.scores import Legs, Walker, score, walk_blocks, walk_legs
 from babble.worlds import make
 
 ENDS = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
@@ -119,15 +118,6 @@ def test_a_landmark_needs_all_of_its_groups_there():
     hand = Landmark("closed", ((0,), (1, 2)), 0.8, 1.0)
     posture = np.array([[1.0, 1.0, 1.0], [1.0, 1.0, 0.0], [0.0, 1.0, 1.0], [0.8, 0.7, 0.9]])
     np.testing.assert_array_equal(hand.at(posture), [True, False, False, True])
-
-
-def test_blocks_that_move_a_part_of_the_body_each_are_asked_for_no_landmark():
-    class Hand:
-        landmarks = (LEFT,)
-
-    both = [BlockSpec("a", 2, (0,), (0,)), BlockSpec("b", 2, (1,), (1,))]
-    assert landmarks_of(Hand(), BlockTree([BlockSpec("hand", 2)], 2, 2)) == (LEFT,)
-    assert landmarks_of(Hand(), BlockTree(both, 2, 2)) == ()
 
 
 def test_the_external_reward_is_the_mean_over_scored_legs_and_by_vertex():

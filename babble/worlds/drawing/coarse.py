@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from babble.patterns import PatternError
 from babble.worlds.drawing.poses import turned
-from babble.worlds.physics.patterns import PatternError
 from babble.worlds.senses.skin import MAX_RESOLUTION, SkinError, skin
 from babble.worlds.senses.surfaces import SKINNED
 from babble.worlds.senses.touch import Touch

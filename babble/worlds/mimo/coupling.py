@@ -6,7 +6,7 @@ from itertools import pairwise
 import mujoco
 import numpy as np
 
-from babble.worlds.physics.patterns import nearest
+from babble.patterns import nearest
 
 
 def couple(

@@ -9,10 +9,10 @@ from typing import Literal
 
 import mujoco
 
+from babble.patterns import matching, nearest
 from babble.worlds.mimo.anatomy import BodyFigures, Figures
 from babble.worlds.mimo.body import ROOT, infant, turn
 from babble.worlds.mimo.tables import Vector
-from babble.worlds.physics.patterns import matching, nearest
 
 __all__ = ["FINGERS", "arm", "cut", "finger", "hand", "part"]
 

@@ -14,7 +14,7 @@ from babble.worlds.mimo.cuts import cut
 from babble.worlds.mimo.figures import load
 from babble.worlds.mimo.finger import MOST_STIFFNESS, NEAR_LIMIT, flexion_joints
 from babble.worlds.physics.env import BodyParameters, MujocoEnv, blueprint
-from babble.worlds.physics.patterns import names_of
+from babble.worlds.physics.names import names_of
 from babble.worlds.physics.task import Play
 from babble.worlds.physics.world import Blueprint
 from babble.worlds.senses.rendering import View

@@ -98,6 +98,7 @@ class Target:
 
     name = "target"
     shape = (3,)
+    components = ("forward", "left", "up")
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._hand = model.site("reaching").id

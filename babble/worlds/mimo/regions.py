@@ -4,10 +4,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
+from babble.patterns import nearest
 from babble.worlds.mimo.anatomy import BodyFigures, Figures, LookFigures, MotorFigures, TendonFigures
 from babble.worlds.mimo.segments import ORIGIN, limb, plus, segment
 from babble.worlds.mimo.tables import Table, Vector
-from babble.worlds.physics.patterns import nearest
 
 ROOT = "mimo_location"
 """The body by which the whole infant is placed in the world."""

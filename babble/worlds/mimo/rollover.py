@@ -1,4 +1,7 @@
-"""`MimoRollover`: the whole body on the floor (thesis 4.5): 46 motors, 49 joints, 98 observations."""
+"""`MimoRollover`: the whole body on the floor (thesis 4.5): 46 motors, 49 joints, 98 observations.
+
+With five-fingered hands 88 motors, 91 joints and 182 observations.
+"""
 
 from dataclasses import dataclass
 
@@ -6,15 +9,16 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from babble.patterns import matching
 from babble.worlds.batch import Start
 from babble.worlds.checks import check_choice, check_count, check_number
 from babble.worlds.mimo.body import infant
-from babble.worlds.mimo.figures import load
+from babble.worlds.mimo.figures import HANDS, Hands, load
 from babble.worlds.mimo.scenes import CLEARANCE_M, add_face, add_floor, hold_head, lowest_point, place
 from babble.worlds.mimo.whole_body import moving, settled
 from babble.worlds.physics.actuation import Indices
 from babble.worlds.physics.env import BodyParameters, MujocoEnv, blueprint
-from babble.worlds.physics.patterns import matching, names_of
+from babble.worlds.physics.names import names_of
 from babble.worlds.physics.task import Play
 from babble.worlds.physics.world import Blueprint
 from babble.worlds.senses.joints import Unit
@@ -36,6 +40,8 @@ class RolloverParameters(BodyParameters):
     senses: tuple[str, ...] = ("position", "velocity")
     angles: Unit = "radians"
     episode_steps: int = 500
+    hands: Hands = "mitten"
+    """all fingers as one flap ("mitten"), or each with its joints ("five_finger"), as the big toe then has"""
     start: str = "supine"
     """on the back ("supine") or on the belly ("prone")"""
     reset_noise_rad: float = 0.01
@@ -47,6 +53,7 @@ class RolloverParameters(BodyParameters):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        check_choice("hands", self.hands, HANDS)
         check_choice("start", self.start, POSES)
         check_number("reset_noise_rad", self.reset_noise_rad, least=0, most=1)
         check_count("settle_steps", self.settle_steps, least=0, most=10_000)
@@ -59,8 +66,8 @@ class MimoRollover(MujocoEnv):
     view = View(lookat_m=(0, 0, 0.05), azimuth_deg=120, elevation_deg=-30, distance_m=1.3)
 
     def build(self, parameters: RolloverParameters) -> Blueprint:
-        """The whole body with mitten hands on a floor."""
-        spec = infant(load("mitten"))
+        """The whole body on a floor."""
+        spec = infant(load(parameters.hands))
         add_floor(spec)
         add_face(spec)
         place(spec, parameters.start)

@@ -7,13 +7,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from babble.patterns import matching
 from babble.worlds.batch import Start
 from babble.worlds.checks import check_number
 from babble.worlds.mimo.figures import Figures
 from babble.worlds.mimo.scenes import set_angles
 from babble.worlds.physics.actuation import Indices
 from babble.worlds.physics.env import BodyParameters
-from babble.worlds.physics.patterns import matching, names_of
+from babble.worlds.physics.names import names_of
 from babble.worlds.physics.task import Play
 
 PUSH_SECS = {"centre": 0.2, "random": 0.5}

@@ -22,6 +22,11 @@ class Actuation(Protocol):
         """a, the length of an action."""
         ...
 
+    @property
+    def actuators(self) -> Indices:
+        """(a,) the model's actuator that each component of an action drives."""
+        ...
+
     def begin(self, columns: Flags) -> None:
         """Forget the past of the flagged copies (E,), which start anew."""
         ...
@@ -76,8 +81,8 @@ class Motors:
 
     def __init__(self, model: mujoco.MjModel, actuators: Indices, columns: int) -> None:
         self.size = len(actuators)
+        self.actuators = actuators
         self._model = model
-        self._actuators = actuators
         limited = model.actuator_ctrllimited[actuators].astype(bool)
         low, high = model.actuator_ctrlrange[actuators].T
         self._centre = np.where(limited, (low + high) / 2, 0.0)
@@ -99,7 +104,7 @@ class Motors:
             if self._all:
                 data.ctrl[:] = control
             else:
-                data.ctrl[self._actuators] = control
+                data.ctrl[self.actuators] = control
             mujoco.mj_step(self._model, data, physics_steps)
 
     def efforts(self) -> Floats:
@@ -107,6 +112,6 @@ class Motors:
         asked = np.clip(self._asked, -1, 1)
         if not self._copies:
             return np.concatenate([asked, np.zeros_like(asked)], axis=1)
-        gear = self._model.actuator_gear[self._actuators, 0]
-        force = np.array([data.actuator_force for data in self._copies])[:, self._actuators] * gear
+        gear = self._model.actuator_gear[self.actuators, 0]
+        force = np.array([data.actuator_force for data in self._copies])[:, self.actuators] * gear
         return np.concatenate([asked, force], axis=1)

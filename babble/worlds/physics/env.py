@@ -18,7 +18,7 @@ from babble.worlds.checks import check_choice, check_count, check_flag, check_ta
 from babble.worlds.physics.actuation import Actuation, Indices, Motors, balance
 from babble.worlds.physics.impairment import restrict, weaken
 from babble.worlds.physics.muscles import Muscles, hand_over
-from babble.worlds.physics.patterns import names_of
+from babble.worlds.physics.names import names_of
 from babble.worlds.physics.task import Task
 from babble.worlds.physics.world import Blueprint, MujocoWorld
 from babble.worlds.senses.build import check_names, make_senses

@@ -5,9 +5,10 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
+from babble.patterns import matching
 from babble.worlds.checks import check_number
 from babble.worlds.physics.actuation import plain_motor
-from babble.worlds.physics.patterns import matching, names_of
+from babble.worlds.physics.names import names_of
 
 LEAST_SHARE = 0.01
 

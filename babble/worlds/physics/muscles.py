@@ -36,8 +36,9 @@ class Muscles:
 
     def __init__(self, model: mujoco.MjModel, actuators: Indices, ranges: Floats, columns: int) -> None:
         self.size = 2 * len(actuators)
+        self.actuators = np.tile(actuators, 2)
         self._model = model
-        self._actuators = actuators
+        self._motors = actuators
         joints = model.actuator_trnid[actuators, 0]
         self._qpos = model.jnt_qposadr[joints]
         self._dof = model.jnt_dofadr[joints]
@@ -64,7 +65,7 @@ class Muscles:
             position = np.array([data.qpos for data in copies])[:, self._qpos]
             velocity = np.array([data.qvel for data in copies])[:, self._dof]
             for data, torque in zip(copies, self._torque(position, velocity), strict=True):
-                data.ctrl[self._actuators] = torque
+                data.ctrl[self._motors] = torque
                 mujoco.mj_step(self._model, data)
 
     def efforts(self) -> Floats:

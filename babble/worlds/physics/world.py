@@ -13,6 +13,7 @@ from babble.landmarks import Landmark
 from babble.observations import Layout
 from babble.worlds.batch import Flags, Floats, Start, Step
 from babble.worlds.physics.actuation import Actuation
+from babble.worlds.physics.names import labels
 from babble.worlds.physics.task import Task
 from babble.worlds.senses.degradation import Degradation, Degraded
 from babble.worlds.senses.joints import centre_and_half_range
@@ -76,7 +77,10 @@ class MujocoWorld:
         self._actuation = blueprint.actuation(columns)
         self._senses = list(blueprint.senses(self._actuation, rng))
         self.senses = {sense.name: sense.shape for sense in self._senses}
+        self.observation_names = tuple(f"{s.name}/{part}" for s in self._senses for part in s.components)
         self.action_size = self._actuation.size
+        self.action_names = labels(self._model, "actuator", self._actuation.actuators)
+        self.moves = _moves(self._model, self._actuation.actuators, blueprint.joints)
         self.observation_size = Layout(self.senses).size
         self._degraded = _degraded(blueprint, self.senses, columns, rng)
         self._qpos = self._model.jnt_qposadr[blueprint.joints]
@@ -95,7 +99,11 @@ class MujocoWorld:
     @property
     def diameter(self) -> float:
         """From all joints at their lower to all at their upper limits: 2 * sqrt(joints)."""
-        return float(2 * np.sqrt(self.posture_size))
+        return self.span(range(self.posture_size))
+
+    def span(self, components: Sequence[int]) -> float:
+        """2 * sqrt(n) for n joints."""
+        return 2 * math.sqrt(len(components))
 
     @property
     def step_secs(self) -> float:
@@ -184,6 +192,23 @@ class MujocoWorld:
         if all(square < UNSTABLE**2 for square in squares):
             return None
         return np.array([not square < UNSTABLE**2 for square in squares])
+
+
+def _moves(model: mujoco.MjModel, actuators: Indices, joints: Indices) -> tuple[tuple[int, ...], ...]:
+    """For each actuator, which of the joints have a lever arm with it in the model's own pose.
+
+    That is the joint itself, or all joints of a tendon; those that follow through contacts, springs and
+    equalities are not counted.
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_fwdPosition(model, data)
+    place = {int(model.jnt_dofadr[joint]): index for index, joint in enumerate(joints)}
+    moved = []
+    for actuator in actuators:
+        start, count = data.moment_rowadr[actuator], data.moment_rownnz[actuator]
+        dofs = data.moment_colind[start : start + count].tolist()
+        moved.append(tuple(sorted(place[dof] for dof in dofs if dof in place)))
+    return tuple(moved)
 
 
 def _degraded(

@@ -7,9 +7,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from babble.patterns import matching
 from babble.worlds.checks import check_table, check_texts, shown
 from babble.worlds.physics.actuation import Actuation, Indices
-from babble.worlds.physics.patterns import matching, names_of
+from babble.worlds.physics.names import names_of
 from babble.worlds.senses.eyesight import Eyesight
 from babble.worlds.senses.joints import Actuated, Limits, Position, Sensors, Unit, Velocity
 from babble.worlds.senses.sense import Sense
@@ -67,7 +68,7 @@ def make_senses(
             case "limits":
                 made.append(Limits(model, joints))
             case "actuation":
-                made.append(Actuated(actuation))
+                made.append(Actuated(model, actuation))
             case "sensors":
                 made.append(Sensors(model, matching(names_of(model, "sensor"), sensors, "sensor")))
             case "touch":

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from babble.worlds.physics.actuation import Actuation
+from babble.worlds.physics.names import labels
 from babble.worlds.senses.sense import Copies, Floats
 
 Indices = NDArray[np.intp]
@@ -28,6 +29,7 @@ class Position:
         if unit not in ("range", "radians"):
             raise ValueError(f'the unit of positions is "range" or "radians", got {unit!r}')
         self.shape = (len(joints),)
+        self.components = labels(model, "joint", joints)
         self._qpos = compact(model.jnt_qposadr[joints])
         self._scaling = centre_and_half_range(model, joints) if unit == "range" else None
 
@@ -49,6 +51,7 @@ class Velocity:
 
     def __init__(self, model: mujoco.MjModel, joints: Indices) -> None:
         self.shape = (len(joints),)
+        self.components = labels(model, "joint", joints)
         self._dof = compact(model.jnt_dofadr[joints])
 
     def read(self, copies: Copies) -> Floats:
@@ -66,6 +69,7 @@ class Limits:
 
     def __init__(self, model: mujoco.MjModel, joints: Indices) -> None:
         self.shape = (len(joints),)
+        self.components = labels(model, "joint", joints)
         self._qpos = compact(model.jnt_qposadr[joints])
         low, high = model.jnt_range[joints].T
         limited = model.jnt_limited[joints].astype(bool)
@@ -83,8 +87,9 @@ class Actuated:
 
     name = "actuation"
 
-    def __init__(self, actuation: Actuation) -> None:
+    def __init__(self, model: mujoco.MjModel, actuation: Actuation) -> None:
         self.shape = (2 * actuation.size,)
+        self.components = 2 * labels(model, "actuator", actuation.actuators)
         self._actuation = actuation
 
     def read(self, copies: Copies) -> Floats:
@@ -104,6 +109,7 @@ class Sensors:
             [np.arange(start, start + size) for start, size in zip(starts, sizes, strict=True)]
         )
         self.shape = (len(values),)
+        self.components = tuple(np.repeat(labels(model, "sensor", sensors), sizes).tolist())
         self._values = compact(values)
 
     def read(self, copies: Copies) -> Floats:

@@ -9,7 +9,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from babble.worlds.physics.patterns import matching, names_of
+from babble.patterns import matching
+from babble.worlds.physics.names import names_of
 from babble.worlds.senses.screen import FONT_SCALE, screen
 
 Pixels = NDArray[np.uint8]

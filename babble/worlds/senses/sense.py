@@ -29,6 +29,11 @@ class Sense(Protocol):
         """The shape of what one copy senses."""
         ...
 
+    @property
+    def components(self) -> tuple[str, ...]:
+        """What each number, flattened, belongs to: a joint, a body, an eye; numbers may share a name."""
+        ...
+
     def read(self, copies: Copies) -> Floats:
         """(E, *shape) what each copy senses now, after a step or mj_forward."""
         ...

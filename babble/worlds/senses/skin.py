@@ -13,7 +13,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from babble.worlds.physics.patterns import matching, names_of
+from babble.patterns import matching
+from babble.worlds.physics.names import names_of
 from babble.worlds.senses.surfaces import SKINNED, inside, surface
 
 MIMO_DISTANCES_M: Mapping[str, float] = MappingProxyType(

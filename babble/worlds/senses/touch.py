@@ -11,6 +11,7 @@ where no point lies within R, the nearest one feels all of it.
 """
 
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from typing import Literal
 
 import mujoco
@@ -57,7 +58,10 @@ class Touch:
         self._body = np.array([patch.body for patch in self.patches])
         self._bodies = model.nbody
         self._number = sum(len(patch.points) for patch in self.patches)
-        self.shape = (self._number * (3 if self._vector else 1),)
+        each = 3 if self._vector else 1
+        self.shape = (self._number * each,)
+        felt_by = ((patch.name or str(patch.body),) * (each * len(patch.points)) for patch in self.patches)
+        self.components = tuple(chain.from_iterable(felt_by))
         of_body = np.full(model.nbody, -1)
         of_body[self._body] = np.arange(len(self.patches))
         # The last entry answers for what is no geom (-1).

@@ -7,7 +7,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from babble.worlds.physics.patterns import matching, names_of
+from babble.patterns import matching
+from babble.worlds.physics.names import names_of
 from babble.worlds.senses.eyesight import Eyesight, Sight
 from babble.worlds.senses.rendering import Quality, Renderer, check_size, fixed_camera
 from babble.worlds.senses.sense import Copies, Floats
@@ -54,6 +55,7 @@ class Vision:
             raise ValueError(f"vision: shadows must be true or false, got {shadows!r}")
         height, width = _size(resolution)
         self.shape = (len(eyes), height, width, 3)
+        self.components = tuple(eye for eye in names for _ in range(height * width * 3))
         self._open = [eye for eye in range(len(eyes)) if eye not in closed]
         self._cameras = [fixed_camera(int(eyes[eye])) for eye in self._open]
         self._sight = Sight(

@@ -1,34 +1,18 @@
-"""Choosing joints, actuators, sensors, bodies and cameras of a model by patterns over their names."""
+"""Choosing parts of a body by patterns over their names: joints, actuators, sensors, cameras."""
 
 import difflib
 from collections.abc import Iterable, Sequence
 from fnmatch import fnmatchcase
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 Indices = NDArray[np.intp]
-
-KINDS = {
-    "joint": mujoco.mjtObj.mjOBJ_JOINT,
-    "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
-    "sensor": mujoco.mjtObj.mjOBJ_SENSOR,
-    "body": mujoco.mjtObj.mjOBJ_BODY,
-    "camera": mujoco.mjtObj.mjOBJ_CAMERA,
-}
-_COUNTS = {"joint": "njnt", "actuator": "nu", "sensor": "nsensor", "body": "nbody", "camera": "ncam"}
 MAX_NAMED = 5
 
 
 class PatternError(ValueError):
     """A pattern that matches nothing; the text is one sentence for a person."""
-
-
-def names_of(model: mujoco.MjModel, kind: str) -> list[str]:
-    """The names of all objects of a kind of `KINDS`, "" for one without a name."""
-    count = getattr(model, _COUNTS[kind])
-    return [mujoco.mj_id2name(model, KINDS[kind], index) or "" for index in range(count)]
 
 
 def matching(names: Sequence[str], patterns: Sequence[str], kind: str) -> Indices:
@@ -55,7 +39,7 @@ def matching(names: Sequence[str], patterns: Sequence[str], kind: str) -> Indice
 
 def nearest(names: Iterable[str], wanted: str, kind: str) -> str:
     """Half a sentence that names what is like the wanted name, or what there is."""
-    known = [name for name in names if name]
+    known = list(dict.fromkeys(name for name in names if name))
     if not known:
         return f"the model has no {kind} with a name"
     near = difflib.get_close_matches(wanted, known, n=MAX_NAMED, cutoff=0.4)
