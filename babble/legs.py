@@ -2,17 +2,17 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from babble.breakdowns import Breakdowns
+from babble.policy.act import Floats, Mode
 from babble.policy.goals import WalkClock
+from babble.policy.together import Acts, Encoders, Encodes, Policies
 from babble.worlds.batch import Step, World
 
-Floats = NDArray[np.float32]
-Mode = Literal["sampled", "mean"]
 Seen = tuple[Floats, Floats]
 """What a block acts on: its latent and its goal, each (E, d)."""
 
@@ -31,29 +31,6 @@ class Witness:
 
     def cut(self) -> None:
         """What comes next in the first column does not go on from what was seen of it."""
-
-
-class Encodes(Protocol):
-    """The encoder as a walk needs it; babble.policy.act.EncoderModel."""
-
-    @property
-    def latent_dim(self) -> int:
-        """d"""
-        ...
-
-    def latent(self, observation: Floats) -> Floats:
-        """(E, n) -> (E, d)."""
-        ...
-
-
-class Acts(Protocol):
-    """The policy as a walk needs it; babble.policy.act.PolicyModel."""
-
-    def act(
-        self, z: Floats, g: Floats, rng: np.random.Generator, mode: Mode = "sampled"
-    ) -> tuple[Floats, Floats]:
-        """Actions (E, a) and their log probabilities (E,)."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -122,6 +99,8 @@ class Walk:
         """of the present attempt; empty unless traced"""
         self._world = world
         self._walkers = walkers
+        self._encoders = Encoders({block: walker.encoder for block, walker in walkers.items()})
+        self._policies = Policies({block: walker.policy for block, walker in walkers.items()})
         self._rng = rng
         self._legs, self._leg_steps = legs, leg_steps
         self._mode: Mode = mode
@@ -206,21 +185,26 @@ class Walk:
     def _action(self) -> Floats:
         """The action (E, a) of all blocks together; what no block drives stays at 0."""
         action = np.zeros((self._world.columns, self._world.action_size), np.float32)
-        for block, walker in self._walkers.items():
-            latent = walker.encoder.latent(self._observation[:, walker.observed])
-            goal = self._clocks[block].goal
-            self._seen[block] = latent, goal
-            action[:, walker.driven], _ = walker.policy.act(latent, goal, self._rng, self._mode)
-            if self._traced:
+        latents = self._latents(self._observation)
+        goals = {block: clock.goal for block, clock in self._clocks.items()}
+        self._seen = {block: (latent, goals[block]) for block, latent in latents.items()}
+        for block, (part, _) in self._policies.act(latents, goals, self._rng, self._mode).items():
+            action[:, self._walkers[block].driven] = part
+        if self._traced:
+            for block, latent in latents.items():
                 self.path.latent[block].append(latent)
         return action
+
+    def _latents(self, observation: Floats) -> dict[str, Floats]:
+        return self._encoders.latents(
+            {block: observation[:, walker.observed] for block, walker in self._walkers.items()}
+        )
 
     def _arrive(self, step: Step) -> None:
         self._postures.append(self._world.posture())
         self._rewards.append(self._reward / np.float32(self._leg_steps - self._leg_steps // 2))
         self._reward, self._in_leg = np.zeros_like(self._reward), 0
-        for block, walker in self._walkers.items():
-            latent = walker.encoder.latent(step.observation[:, walker.observed])
+        for block, latent in self._latents(step.observation).items():
             self._ends[block].append((latent, self._clocks[block].index.astype(np.int32)))
         if self.done:
             self._breakdowns.finish()

@@ -28,25 +28,26 @@ class Layer:
 class Graph:
     """Nodes and constants on their way to a model; a value goes by its name."""
 
-    def __init__(self) -> None:
+    def __init__(self, block: str = "") -> None:
+        """In the model, every name begins with "<block>/": models of several blocks can be joined then."""
+        self._prefix = f"{block}/" if block else ""
         self._nodes: list[onnx.NodeProto] = []
         self._constants: list[onnx.TensorProto] = []
 
     def constant(self, name: str, value: ArrayLike) -> str:
         """A float32 constant; returns its name."""
-        self._constants.append(numpy_helper.from_array(np.asarray(value, dtype=np.float32), name))
-        return name
+        return self._keep(name, np.asarray(value, dtype=np.float32))
 
     def whole(self, name: str, numbers: Sequence[int]) -> str:
         """A constant list of whole numbers, as shapes and borders are; returns its name."""
-        self._constants.append(numpy_helper.from_array(np.asarray(numbers, dtype=np.int64), name))
-        return name
+        return self._keep(name, np.asarray(numbers, dtype=np.int64))
 
     def node(
         self, operator: str, inputs: Sequence[str], output: str, **attributes: int | Sequence[int]
     ) -> str:
         """The operator's result under the name `output`, which is returned."""
-        self._nodes.append(helper.make_node(operator, inputs, [output], **attributes))
+        given = [self._prefix + value for value in inputs]
+        self._nodes.append(helper.make_node(operator, given, [self._prefix + output], **attributes))
         return output
 
     def sliced(self, value: str, start: int, stop: int, output: str) -> str:
@@ -79,15 +80,19 @@ class Graph:
 
     def model(self, name: str, inputs: Mapping[str, int], outputs: Mapping[str, int]) -> bytes:
         """The checked model, with inputs and outputs (batch, size) float32."""
-        graph = helper.make_graph(self._nodes, name, _values(inputs), _values(outputs), self._constants)
+        ends = self._values(inputs), self._values(outputs)
+        graph = helper.make_graph(self._nodes, self._prefix + name, *ends, self._constants)
         opset = helper.make_opsetid("", OPSET)
         model = helper.make_model(graph, producer_name="babble", opset_imports=[opset], ir_version=IR_VERSION)
         onnx.checker.check_model(model, full_check=True)
         return bytes(model.SerializeToString(deterministic=True))
 
+    def _keep(self, name: str, value: NDArray[np.float32] | NDArray[np.int64]) -> str:
+        self._constants.append(numpy_helper.from_array(value, self._prefix + name))
+        return name
 
-def _values(sizes: Mapping[str, int]) -> list[onnx.ValueInfoProto]:
-    return [
-        helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, ["batch", size])
-        for name, size in sizes.items()
-    ]
+    def _values(self, sizes: Mapping[str, int]) -> list[onnx.ValueInfoProto]:
+        return [
+            helper.make_tensor_value_info(self._prefix + name, onnx.TensorProto.FLOAT, ["batch", size])
+            for name, size in sizes.items()
+        ]

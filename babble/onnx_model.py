@@ -75,9 +75,9 @@ class PolicyWeights:
     """(a,)"""
 
 
-def encoder_onnx(weights: EncoderWeights) -> bytes:
-    """A model with input observation (B, n) and output latent (B, d), float32."""
-    graph, n = Graph(), len(weights.mean)
+def encoder_onnx(weights: EncoderWeights, block: str = "") -> bytes:
+    """A model with input observation (B, n) and output latent (B, d), float32; see `Graph` for `block`."""
+    graph, n = Graph(block), len(weights.mean)
     graph.constant("mean", weights.mean)
     graph.constant("scale", weights.scale)
     graph.node("Sub", ["observation", "mean"], "centred")
@@ -88,9 +88,9 @@ def encoder_onnx(weights: EncoderWeights) -> bytes:
     return graph.model("encoder", {"observation": n}, {"latent": len(weights.layers[-1].bias)})
 
 
-def policy_onnx(weights: PolicyWeights) -> bytes:
+def policy_onnx(weights: PolicyWeights, block: str = "") -> bytes:
     """A model with inputs latent and goal (B, d), and outputs mean and log_std (B, a), float32."""
-    graph = Graph()
+    graph = Graph(block)
     graph.constant("deviations", weights.log_std)
     graph.node("Concat", ["latent", "goal"], "h0", axis=1)
     graph.layers(weights.layers, "h0", "mean")

@@ -17,6 +17,7 @@ class SegmentBuilder:
         self.steps = steps
         self.columns = columns
         self._arrays: dict[str, Array] = {}
+        self._layout: dict[str, tuple[tuple[int, ...], np.dtype[Any]]] = {}
         self._filled = 0
 
     def __len__(self) -> int:
@@ -29,16 +30,13 @@ class SegmentBuilder:
         The first step of a segment decides names, shapes and types. Raises ValueError, and keeps
         what it has, for a step that differs from it.
         """
-        given = {name: np.asarray(array) for name, array in arrays.items()}
         if not self._filled:
-            self._begin(given)
-        elif self._layout(given) != {
-            name: (array.shape[1:], array.dtype) for name, array in self._arrays.items()
-        }:
+            self._begin(arrays)
+        elif {name: (array.shape, array.dtype) for name, array in arrays.items()} != self._layout:
             raise ValueError(
-                f"a step of {self._names(given)} does not fit a segment of {self._names(self._arrays)}"
+                f"a step of {self._names(arrays)} does not fit a segment of {self._names(self._arrays)}"
             )
-        for name, array in given.items():
+        for name, array in arrays.items():
             self._arrays[name][self._filled] = array
         self._filled += 1
         if self._filled < self.steps:
@@ -56,13 +54,10 @@ class SegmentBuilder:
         for name, array in given.items():
             if array.shape[:1] != (self.columns,):
                 raise ValueError(f"{name} must have {self.columns} columns, got shape {array.shape}")
+        self._layout = {name: (array.shape, array.dtype) for name, array in given.items()}
         self._arrays = {
             name: np.empty((self.steps, *array.shape), array.dtype) for name, array in given.items()
         }
-
-    @staticmethod
-    def _layout(arrays: dict[str, Array]) -> dict[str, tuple[tuple[int, ...], np.dtype[Any]]]:
-        return {name: (array.shape, array.dtype) for name, array in arrays.items()}
 
     @staticmethod
     def _names(arrays: dict[str, Array]) -> str:

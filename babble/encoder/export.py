@@ -29,9 +29,12 @@ def encoder_weights(encoder: Encoder) -> EncoderWeights:
     )
 
 
-def export_encoder(encoder: Encoder) -> bytes:
-    """The encoder as ONNX, checked on random observations. Raises `ExportError` beyond 1e-5 of difference."""
-    exported = encoder_onnx(encoder_weights(encoder))
+def export_encoder(encoder: Encoder, block: str = "") -> bytes:
+    """The encoder as ONNX, checked on random observations. Raises `ExportError` beyond 1e-5 of difference.
+
+    With the name of its `block` it can be joined with those of others (babble.policy.together).
+    """
+    exported = encoder_onnx(encoder_weights(encoder), block)
     spread = np.random.default_rng(0).standard_normal((CHECKED_ROWS, encoder.observation_size))
     observation = (encoder.mean.numpy() + 2 * encoder.scale.numpy() * spread).astype(np.float32)
     with torch.no_grad():

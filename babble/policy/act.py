@@ -23,27 +23,32 @@ class ActingModel:
     """An ONNX model with the expected inputs and outputs, each (batch, size) float32."""
 
     def __init__(self, onnx: bytes, kind: str, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> None:
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = 1
-        options.inter_op_num_threads = 1
-        options.log_severity_level = 4
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         try:
-            self._session = onnxruntime.InferenceSession(onnx, options, providers=["CPUExecutionProvider"])
+            self._session = session_of(onnx)
         except FAULTS as error:
             raise ModelError(
                 f"the {kind} is not a model that ONNX Runtime reads ({type(error).__name__})"
             ) from None
+        self.onnx = onnx
+        self.prefix = _prefix(self._session)
+        """What all names in it begin with: its block's, or nothing."""
         self._kind = kind
-        self._inputs = _sizes(self._session.get_inputs(), kind, "input", inputs)
-        self._outputs = _sizes(self._session.get_outputs(), kind, "output", outputs)
+        self._inputs = _sizes(self._session.get_inputs(), kind, "input", inputs, self.prefix)
+        self._outputs = _sizes(self._session.get_outputs(), kind, "output", outputs, self.prefix)
 
-    def _run(self, **arrays: Floats) -> list[Floats]:
+    def feed(self, **arrays: Floats) -> dict[str, Floats]:
+        """The inputs as ONNX Runtime takes them. Raises `ModelError` for other sizes."""
         for name, array in arrays.items():
             if array.ndim != 2 or array.shape[1] != self._inputs[name]:
                 size = self._inputs[name]
                 raise ModelError(f"the {self._kind} takes {name} of size {size}, got shape {array.shape}")
-        given = {name: np.ascontiguousarray(array, dtype=np.float32) for name, array in arrays.items()}
+        return {
+            self.prefix + name: np.ascontiguousarray(array, dtype=np.float32)
+            for name, array in arrays.items()
+        }
+
+    def _run(self, **arrays: Floats) -> list[Floats]:
+        given = self.feed(**arrays)
         try:
             return [np.asarray(value) for value in self._session.run(None, given)]
         except FAULTS as error:
@@ -83,18 +88,35 @@ class PolicyModel(ActingModel):
         self, z: Floats, g: Floats, rng: np.random.Generator, mode: Mode = "sampled"
     ) -> tuple[Floats, Floats]:
         """Actions (E, a), not clipped, and their log probabilities (E,)."""
-        mean, log_std = self.distribution(z, g)
-        noise = (
-            rng.standard_normal(mean.shape, dtype=np.float32) if mode == "sampled" else np.zeros_like(mean)
-        )
-        log_prob = -(0.5 * noise**2 + log_std + 0.5 * LOG_2PI).sum(axis=1)
-        return np.asarray(mean + np.exp(log_std) * noise), log_prob.astype(np.float32)
+        return drawn(*self.distribution(z, g), rng, mode)
+
+
+def drawn(mean: Floats, log_std: Floats, rng: np.random.Generator, mode: Mode) -> tuple[Floats, Floats]:
+    """Actions (E, a) of a Gaussian, its mean or a sample, and their log probabilities (E,)."""
+    noise = rng.standard_normal(mean.shape, dtype=np.float32) if mode == "sampled" else np.zeros_like(mean)
+    log_prob = -(0.5 * noise**2 + log_std + 0.5 * LOG_2PI).sum(axis=1)
+    return np.asarray(mean + np.exp(log_std) * noise), log_prob.astype(np.float32)
+
+
+def session_of(onnx: bytes) -> onnxruntime.InferenceSession:
+    """A session with one thread. Raises one of `FAULTS`."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 4
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    return onnxruntime.InferenceSession(onnx, options, providers=["CPUExecutionProvider"])
+
+
+def _prefix(session: onnxruntime.InferenceSession) -> str:
+    names = [value.name for value in session.get_inputs()[:1]]
+    return names[0][: names[0].rfind("/") + 1] if names else ""
 
 
 def _sizes(
-    found: list[onnxruntime.NodeArg], kind: str, role: str, expected: tuple[str, ...]
+    found: list[onnxruntime.NodeArg], kind: str, role: str, expected: tuple[str, ...], prefix: str
 ) -> dict[str, int]:
-    names = tuple(value.name for value in found)
+    names = tuple(value.name.removeprefix(prefix) for value in found)
     if names != expected:
         raise ModelError(f"the {kind} has {role}s {', '.join(names)}, expected {', '.join(expected)}")
     for value in found:
@@ -102,4 +124,4 @@ def _sizes(
         if not fits or not isinstance(value.shape[1], int) or isinstance(value.shape[0], int):
             what = f"{value.type} {value.shape}"
             raise ModelError(f"the {kind}'s {role} {value.name} is {what}, expected float (batch, size)")
-    return {value.name: value.shape[1] for value in found}
+    return {value.name.removeprefix(prefix): value.shape[1] for value in found}

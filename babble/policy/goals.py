@@ -1,5 +1,6 @@
 """Goals (thesis 3.1, 3.2): one-hot vertices, when they change, and the reward for nearing them."""
 
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -64,18 +65,17 @@ class _Clock:
         self._left = np.full(columns, period_steps)
         self.index = rng.integers(0, latent_dim, columns)
         """(E,) the vertex each column aims at"""
-
-    @property
-    def goal(self) -> Floats:
-        """(E, d) the vertices as one-hot rows; a new array each time."""
-        return one_hot(self.index, self.latent_dim)
+        self.goal = one_hot(self.index, latent_dim)
+        """(E, d) the vertices as one-hot rows; another array once one of them changes"""
 
     def tick(self) -> Flags:
         """Count one step; returns (E,) which columns drew a new goal just now."""
         self._left -= 1
         due = np.asarray(self._left == 0)
-        self._left[due] = self._period_steps
-        self.index = np.where(due, self._next(), self.index)
+        if due.any():
+            self._left[due] = self._period_steps
+            self.index = np.where(due, self._next(), self.index)
+            self.goal = one_hot(self.index, self.latent_dim)
         return due
 
     def _next(self) -> NDArray[np.int64]:
@@ -91,6 +91,50 @@ class GoalClock(_Clock):
 
     def _next(self) -> NDArray[np.int64]:
         return self._rng.integers(0, self.latent_dim, len(self.index))
+
+
+class RandomGoals:
+    """Goals of children that babble for the block above them (thesis 3.5.1): random, held, unsynchronised.
+
+    Each child draws a vertex of its own and a time to hold it, uniform from `least_steps` to `most_steps`
+    environment steps, in each column apart.
+    """
+
+    def __init__(
+        self,
+        latent_dims: Sequence[int],
+        columns: int,
+        rng: np.random.Generator,
+        *,
+        least_steps: int,
+        most_steps: int,
+        env_steps: int = 1,
+    ) -> None:
+        """`latent_dims` of the children; `env_steps` pass from one sample to the next."""
+        if not latent_dims or not 1 <= least_steps <= most_steps or env_steps < 1:
+            raise ValueError(
+                "random goals need children and 1 <= least_steps <= most_steps, "
+                f"got {list(latent_dims)}, {least_steps} and {most_steps}"
+            )
+        self._dims = np.asarray(latent_dims)
+        self._starts = np.cumsum(self._dims) - self._dims
+        self._rng = rng
+        self._bounds = least_steps, most_steps
+        self._env_steps = env_steps
+        self._index = rng.integers(0, self._dims, (columns, len(self._dims)))
+        # They begin in the middle of their times, or all would first change together.
+        self._left = rng.integers(1, most_steps + 1, self._index.shape)
+
+    def sample(self) -> Floats:
+        """(E, sum of latent_dims): the goals of all children as one-hot vectors, one after the other."""
+        goals = np.zeros((len(self._index), int(self._dims.sum())), np.float32)
+        np.put_along_axis(goals, self._starts + self._index, 1.0, axis=1)
+        self._left -= self._env_steps
+        due = self._left <= 0
+        least, most = self._bounds
+        self._left = np.where(due, self._rng.integers(least, most + 1, due.shape), self._left)
+        self._index = np.where(due, self._rng.integers(0, self._dims, due.shape), self._index)
+        return goals
 
 
 class WalkClock(_Clock):

@@ -135,7 +135,7 @@ def test_an_export_that_computes_something_else_is_refused(monkeypatch, ppo):
     with pytest.raises(ExportError, match="off the network"):
         export_encoder(Encoder(THREE, 2, seed=0))
     other = policy_onnx(GoalPPO(2, 3, hidden=(16,), seed=8).export_weights())
-    monkeypatch.setattr(babble.policy.export, "policy_onnx", lambda _: other)
+    monkeypatch.setattr(babble.policy.export, "policy_onnx", lambda *_: other)
     with pytest.raises(babble.policy.export.ExportError, match="off the network"):
         export_policy(ppo)
 
