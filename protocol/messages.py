@@ -34,7 +34,7 @@ MAX_ENTRIES = 256
 MAX_REPLY_CHARS = 1 << 18
 MAX_CONFIG_CHARS = 1 << 20
 MAX_STEPS = 1 << 20
-"""The most environment steps per column of a segment."""
+"""The most steps per column of a segment."""
 
 
 class Phase(StrEnum):
@@ -109,8 +109,9 @@ def _same(a: NDArray[np.generic], b: NDArray[np.generic]) -> bool:
 
 
 class Segment(WithArrays):
-    """Experience: `steps` environment steps of `columns` worlds, for one consumer.
+    """Experience: `steps` steps of a block in `columns` worlds, for one consumer.
 
+    A step of a block on a higher level lasts several of the environment, as the run's settings say.
     The arrays by phase, as contents.py checks them (T = steps, E = columns, L = evaluation legs,
     d = latent dimension):
 
@@ -132,7 +133,7 @@ class Segment(WithArrays):
     steps: Annotated[int, Field(ge=1, le=MAX_STEPS)]
     columns: Annotated[int, Field(ge=1, le=2**16)]
     first_step: Count
-    """Environment steps per column that this life had done in this term before the segment."""
+    """Steps of the block per column that this life had done in this term before the segment."""
 
 
 class Ack(Header):
@@ -170,6 +171,17 @@ class ModelFloor(Strict):
     policy: Count = 0
 
 
+class Frozen(ModelFloor):
+    """The models of a block that is done: the versions to act with, at least, and whose work they are.
+
+    A version may hold an older one's ONNX: the block is frozen at the iteration that scored best, and
+    versions only grow.
+    """
+
+    of_encoder: Count = 0
+    of_policy: Count = 0
+
+
 class PhaseAnnounced(Header):
     """The coordinator's word on what all do now; repeated each second, the newest term wins."""
 
@@ -183,6 +195,8 @@ class PhaseAnnounced(Header):
     """For EVALUATE: the phase whose result is measured."""
     blocks: Annotated[dict[Name, ModelFloor], Field(max_length=MAX_ENTRIES)]
     """The blocks at work in this term."""
+    frozen: Annotated[dict[Name, Frozen], Field(max_length=MAX_ENTRIES)] = {}
+    """The blocks of the levels below, which are done."""
 
 
 class SettingsAnnounced(Header):

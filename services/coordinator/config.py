@@ -1,7 +1,12 @@
 """The coordinator's plan, from the settings of the run."""
 
+from collections.abc import Mapping
+
 from services.coordinator.state import Plan
-from services.runtime.settings import RunSettings, SettingsError
+from services.coordinator.table import Learner
+from services.runtime.settings import LearnerKind, RunSettings
+
+KINDS: Mapping[Learner, LearnerKind] = {"encoder_learner": "encoder", "policy_learner": "policy"}
 
 
 def plan_of(settings: RunSettings) -> Plan:
@@ -9,25 +14,15 @@ def plan_of(settings: RunSettings) -> Plan:
 
     Raises `SettingsError` if a block names a child that is unknown or its own ancestor.
     """
-    names = [block.name for block in settings.block]
-    heights = {name: _height(settings, name, ()) for name in names}
-    levels = range(max(heights.values()) + 1)
+    levels = settings.levels
     return Plan(
-        levels=tuple(tuple(name for name in names if heights[name] == level) for level in levels),
-        iterations=settings.phases.iterations,
+        levels=levels,
+        iterations=tuple(settings.of_level(level).phases.iterations for level in range(len(levels))),
         stall_secs=settings.wire.stall_secs,
+        processes={learner: getattr(settings.learners, kind) for learner, kind in KINDS.items()},
+        shares={
+            (learner, block.name): settings.learner_of(block.name, kind)
+            for learner, kind in KINDS.items()
+            for block in settings.block
+        },
     )
-
-
-def _height(settings: RunSettings, name: str, ancestors: tuple[str, ...]) -> int:
-    if name in ancestors:
-        parent = ancestors[-1]
-        raise SettingsError(f"block {name!r} is its own ancestor; remove it from the children of {parent!r}")
-    try:
-        children = settings.one_block(name).children
-    except KeyError:
-        parent = ancestors[-1]
-        raise SettingsError(
-            f"block {parent!r} has an unknown child {name!r}; name a block of the scenario"
-        ) from None
-    return 1 + max((_height(settings, child, (*ancestors, name)) for child in children), default=-1)

@@ -129,7 +129,7 @@ def _read(path: Path, lines: list[bytes], run: str, plan: Plan) -> Iterable[Even
 
 def _header(run: str, plan: Plan) -> dict[str, Any]:
     levels = [list(level) for level in plan.levels]
-    return {"journal": FORMAT, "run": run, "levels": levels, "iterations": plan.iterations}
+    return {"journal": FORMAT, "run": run, "levels": levels, "iterations": list(plan.iterations)}
 
 
 def _check_header(path: Path, line: bytes, run: str, plan: Plan) -> None:
@@ -140,6 +140,8 @@ def _check_header(path: Path, line: bytes, run: str, plan: Plan) -> None:
     wanted = _header(run, plan)
     if not isinstance(found, dict) or set(found) != set(wanted):
         raise _damaged(path, 1, "not a journal's header")
+    if isinstance(found["iterations"], int):  # as it was written while all levels had the same number
+        found["iterations"] = [found["iterations"]] * len(plan.levels)
     for name, value in wanted.items():
         if found[name] != value:
             raise JournalError(

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import assert_never
 
 from services.coordinator.best import best, reason
-from services.coordinator.state import Member, OwnLink, Plan, State, blocks_at_work
+from services.coordinator.state import Member, OwnLink, Plan, State, blocks_at_work, iterations_now
 from services.coordinator.table import DUTY, NEXT, Learner, Phase
 from services.coordinator.waiting import stalled
 from services.coordinator.words import (
@@ -17,6 +17,7 @@ from services.coordinator.words import (
     BlockProgress,
     End,
     Event,
+    Frozen,
     KeepBest,
     LinkChanged,
     MemberAppeared,
@@ -67,6 +68,7 @@ def announcement(state: State) -> Announce:
         iteration=state.iteration,
         evaluates=state.evaluates,
         floors=state.floors,
+        frozen=state.frozen,
     )
 
 
@@ -144,7 +146,7 @@ def _status_reported(plan: Plan, state: State, event: StatusReported) -> Decisio
     if heard != state:
         heard = replace(heard, progress_at_secs=max(state.progress_at_secs, event.now), stalled=False)
     if responsible:
-        heard = replace(heard, learner_waits_for=event.waiting_for)
+        heard = _hear_waiting(heard, event)
     if heard.finished.issuperset(blocks_at_work(plan, heard)):
         heard, more = _advance(plan, heard)
         orders += more
@@ -175,6 +177,13 @@ def _hear_progress(plan: Plan, state: State, event: StatusReported) -> State:
     return replace(state, progress=progress, finished=frozenset(finished))
 
 
+def _hear_waiting(state: State, event: StatusReported) -> State:
+    """Waiting, or no more: that is no progress."""
+    others = {life: text for life, text in state.learners_wait_for.items() if life != event.life}
+    said = {event.life: event.waiting_for} if event.waiting_for else {}
+    return replace(state, learners_wait_for={**others, **said})
+
+
 def _extent(said: BlockProgress) -> tuple[int, int, str, bool]:
     return said.done, said.wanted, said.unit, said.finished
 
@@ -201,8 +210,10 @@ def _hear_scores(plan: Plan, state: State, event: StatusReported) -> Decision:
 def _advance(plan: Plan, state: State) -> Decision:
     """One move along the table; a new term in which nothing has been heard yet."""
     phase = _next_phase(plan, state)
+    left = blocks_at_work(plan, state) if phase is Phase.BABBLE else ()
     state = replace(
         state,
+        frozen={**state.frozen, **{block: _frozen(state, block) for block in left}},
         term=state.term + 1,
         phase=phase,
         level=state.level + (phase is Phase.BABBLE),
@@ -210,7 +221,7 @@ def _advance(plan: Plan, state: State) -> Decision:
         evaluates=state.phase if phase is Phase.EVALUATE else None,
         progress={},
         finished=frozenset(),
-        learner_waits_for="",
+        learners_wait_for={},
     )
     state = replace(state, floors={block: _floor(state, block) for block in blocks_at_work(plan, state)})
     ending: list[Order] = [End(completed=True)] if phase is Phase.DONE else []
@@ -221,10 +232,27 @@ def _next_phase(plan: Plan, state: State) -> Phase:
     moves = NEXT[state.phase]
     if len(moves) == 1:
         return next(iter(moves))
-    if state.iteration < plan.iterations:
+    if state.iteration < iterations_now(plan, state):
         return Phase.WALK
     return Phase.BABBLE if state.level + 1 < len(plan.levels) else Phase.DONE
 
 
 def _floor(state: State, block: str) -> tuple[int, int]:
     return state.versions.get(f"encoder/{block}", 0), state.versions.get(f"policy/{block}", 0)
+
+
+def _frozen(state: State, block: str) -> Frozen:
+    """At the versions of its best iteration; without any score, at its newest ones."""
+    kept = best_of(state, block)
+    newest_encoder, newest_policy = _floor(state, block)
+    encoder, of_encoder = _kept(newest_encoder, kept.encoder_version if kept else 0)
+    policy, of_policy = _kept(newest_policy, kept.policy_version if kept else 0)
+    return Frozen(encoder=encoder, policy=policy, of_encoder=of_encoder, of_policy=of_policy)
+
+
+def _kept(newest: int, best_version: int) -> tuple[int, int]:
+    """(the version to act with, the version whose work it is): an older one is published once more."""
+    newest = max(newest, best_version)
+    if best_version in (0, newest):
+        return newest, newest
+    return newest + 1, best_version

@@ -7,12 +7,14 @@ from typing import Any
 
 from protocol.messages import MAX_REPLY_CHARS, Status
 from services.coordinator.machine import best_of
-from services.coordinator.state import Plan, State, present
+from services.coordinator.state import Plan, State, iterations_now, present
 from services.coordinator.waiting import waiting
 
 Row = Mapping[str, Any]
 LIST_CHARS = MAX_REPLY_CHARS // 4
-"""Each of the three lists of an answer may take so much, and what else it tells far less."""
+"""Members, scores and best of an answer may each take so much."""
+FROZEN_CHARS = MAX_REPLY_CHARS // 8
+"""The list of frozen blocks may take so much, and what else is told far less."""
 MOST_WITNESSES = 4
 
 
@@ -25,6 +27,7 @@ def describe(run: str, plan: Plan, state: State, heard: Mapping[str, Status]) ->
     present_ones = sorted(present(state).items())
     members = _fitting(_member(life, service, heard.get(life)) for life, service in present_ones)
     newest = _fitting({"run": run, **asdict(row)} for row in reversed(state.scores))
+    frozen = ({"block": block, **asdict(at)} for block, at in state.frozen.items())
     best = (best_of(state, block) for level in plan.levels for block in level)
     return json.dumps(
         {
@@ -33,7 +36,7 @@ def describe(run: str, plan: Plan, state: State, heard: Mapping[str, Status]) ->
             "evaluates": None if state.evaluates is None else state.evaluates.value,
             "level": state.level,
             "iteration": state.iteration,
-            "iterations": plan.iterations,
+            "iterations": iterations_now(plan, state),
             "term": state.term,
             "waiting": waiting(plan, state),
             "stalled": state.stalled,
@@ -41,6 +44,7 @@ def describe(run: str, plan: Plan, state: State, heard: Mapping[str, Status]) ->
             "unlisted": len(present_ones) - len(members),
             "scores": newest[::-1],
             "best": _fitting(asdict(kept) for kept in best if kept is not None),
+            "frozen": _fitting(frozen, FROZEN_CHARS),
         }
     )
 
@@ -59,13 +63,13 @@ def witnesses(state: State, heard: Iterable[Status]) -> list[str]:
     return said[:MOST_WITNESSES]
 
 
-def _fitting(rows: Iterable[Row]) -> Sequence[Row]:
+def _fitting(rows: Iterable[Row], most_chars: int = LIST_CHARS) -> Sequence[Row]:
     """As many of the first rows as there is room for."""
     fitting: list[Row] = []
     chars = 0
     for row in rows:
         chars += len(json.dumps(row)) + len(", ")
-        if chars > LIST_CHARS:
+        if chars > most_chars:
             break
         fitting.append(row)
     return fitting

@@ -17,11 +17,11 @@ from services.coordinator.journal import Journal, replay
 from services.coordinator.machine import announcement, best_of, decide
 from services.coordinator.report import describe, witnesses
 from services.coordinator.run_files import RunFiles
-from services.coordinator.state import State, awaited, present
+from services.coordinator.state import State, awaited, iterations_now, present
 from services.coordinator.table import LEARNERS
 from services.coordinator.table import Phase as MachinePhase
 from services.coordinator.translate import announced, settings_announced, status_reported
-from services.coordinator.waiting import phase_name, waiting
+from services.coordinator.waiting import frozen_name, phase_name, waiting
 from services.coordinator.words import (
     Announce,
     End,
@@ -232,7 +232,13 @@ class CoordinatorService:
         self._bus.publish("settings", keys.settings(self._run), encode(message))
 
     def _announce(self, order: Announce, now_secs: float) -> None:
-        message = announced(order, plan=self._plan, run=self._run, life=self._life, seq=self._announcements)
+        message = announced(
+            order,
+            iterations=iterations_now(self._plan, self._state),
+            run=self._run,
+            life=self._life,
+            seq=self._announcements,
+        )
         self._bus.publish("phase", keys.phase(self._run), encode(message))
         self._announcements += 1
         self._announced_secs = now_secs
@@ -240,6 +246,8 @@ class CoordinatorService:
     def _note_changes(self, before: State, after: State, now_secs: float) -> None:
         if before.link is not after.link:
             self._files.note(now_secs, "link", f"the coordinator's own link is {after.link.value}")
+        for block in sorted(after.frozen.keys() - before.frozen.keys()):
+            self._files.note(now_secs, "frozen", frozen_name(block, after.frozen[block]))
         old, new = present(before), present(after)
         for life in sorted(new.keys() - old.keys()):
             self._files.note(now_secs, "joined", f"{life} ({new[life]}) joined")

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from services.coordinator.table import Phase
-from services.coordinator.words import BlockProgress, ScoreRow
+from services.coordinator.table import Learner, Phase
+from services.coordinator.words import BlockProgress, Frozen, ScoreRow
 
 ONLOOKERS = frozenset({"dashboard", "recorder", "router"})
 """Services that only watch or carry a run: it goes on without them and waits for none of them."""
@@ -15,20 +15,27 @@ ONLOOKERS = frozenset({"dashboard", "recorder", "router"})
 class Plan:
     """What a run does: the block names of each level, bottom-up, and how often each level iterates.
 
-    Raises ValueError if a level is empty or a block is named twice.
+    Raises ValueError if a level is empty or without its number of iterations, or a block is named twice.
     """
 
     levels: tuple[tuple[str, ...], ...]
-    iterations: int
+    iterations: tuple[int, ...]
+    """of each level"""
     stall_secs: float
     """no progress for so long is a stall"""
     link_grace_secs: float = 3.0
     """members have so long to be seen again once the own link is up; longer than a reconnect takes"""
+    processes: Mapping[Learner, int] = field(default_factory=dict)
+    """how many of each learner share the blocks; 1 where it is not said"""
+    shares: Mapping[tuple[Learner, str], int] = field(default_factory=dict)
+    """(learner, block) -> the index of the process that learns it; 0 where it is not said"""
 
     def __post_init__(self) -> None:
         names = [block for level in self.levels for block in level]
         if not self.levels or not all(self.levels) or len(set(names)) != len(names):
             raise ValueError(f"each level needs blocks and each block one level; got {self.levels}")
+        if len(self.iterations) != len(self.levels):
+            raise ValueError(f"{len(self.levels)} levels cannot have the iterations {self.iterations}")
 
 
 class OwnLink(StrEnum):
@@ -59,12 +66,15 @@ class State:
     iteration: int = 0
     evaluates: Phase | None = None
     floors: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    frozen: Mapping[str, Frozen] = field(default_factory=dict)
+    """The blocks of the levels that are done, as each was frozen when its level was left."""
     versions: Mapping[str, int] = field(default_factory=dict)
     """The newest versions that the learners reported, by "encoder/<block>" and "policy/<block>"."""
     progress: Mapping[tuple[str, str], BlockProgress] = field(default_factory=dict)
     """By (block, life), because a learner that starts again counts again."""
     finished: frozenset[str] = frozenset()
-    learner_waits_for: str = ""
+    learners_wait_for: Mapping[str, str] = field(default_factory=dict)
+    """By life, what each of the learners responsible says in this term."""
     scores: tuple[ScoreRow, ...] = ()
     members: Mapping[str, Member] = field(default_factory=dict)
     link: OwnLink = OwnLink.UP
@@ -84,6 +94,11 @@ def blocks_at_work(plan: Plan, state: State) -> tuple[str, ...]:
     if state.term == 0 or state.phase is Phase.DONE or state.level >= len(plan.levels):
         return ()
     return plan.levels[state.level]
+
+
+def iterations_now(plan: Plan, state: State) -> int:
+    """How often the current level iterates; after the last phase, the last level."""
+    return plan.iterations[min(state.level, len(plan.iterations) - 1)]
 
 
 def present(state: State) -> dict[str, str]:

@@ -1,7 +1,8 @@
 """Between the wire's messages and the machine's words (pure)."""
 
+from dataclasses import asdict
+
 from protocol import messages
-from services.coordinator.state import Plan
 from services.coordinator.table import Phase
 from services.coordinator.words import Announce, BlockProgress, ScoreRow, StatusReported
 
@@ -28,8 +29,8 @@ def status_reported(now_secs: float, status: messages.Status) -> StatusReported:
     )
 
 
-def announced(order: Announce, *, plan: Plan, run: str, life: str, seq: int) -> messages.PhaseAnnounced:
-    """The message of an announcement."""
+def announced(order: Announce, *, iterations: int, run: str, life: str, seq: int) -> messages.PhaseAnnounced:
+    """The message of an announcement; `iterations` are those of its level."""
     return messages.PhaseAnnounced(
         run=run,
         term=order.term,
@@ -39,12 +40,13 @@ def announced(order: Announce, *, plan: Plan, run: str, life: str, seq: int) -> 
         phase=messages.Phase(order.phase),
         level=order.level,
         iteration=order.iteration,
-        iterations=plan.iterations,
+        iterations=iterations,
         evaluates=None if order.evaluates is None else messages.Phase(order.evaluates),
         blocks={
             block: messages.ModelFloor(encoder=encoder, policy=policy)
             for block, (encoder, policy) in order.floors.items()
         },
+        frozen={block: messages.Frozen(**asdict(frozen)) for block, frozen in order.frozen.items()},
     )
 
 

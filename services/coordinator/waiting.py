@@ -2,7 +2,7 @@
 
 from services.coordinator.state import OwnLink, Plan, State, awaited, blocks_at_work, present
 from services.coordinator.table import DUTY, Learner, Phase
-from services.coordinator.words import BlockProgress
+from services.coordinator.words import BlockProgress, Frozen
 
 MOST_BLOCKS = 4
 """Blocks that one sentence names; the others are counted."""
@@ -23,7 +23,13 @@ def waiting(plan: Plan, state: State) -> str:
     assert duty.learner is not None
     if duty.learner not in others.values():
         return f"waiting for {_article(duty.learner)} to appear"
-    progress = _progress(plan, state, duty.learner)
+    left = [block for block in blocks_at_work(plan, state) if block not in state.finished]
+    missing = _missing(plan, state, duty.learner, left)
+    if missing:
+        there = [block for block in left if block not in missing]
+        rest = f"; {duty.learner} has {_progress(state, there, duty.learner)}" if there else ""
+        return f"waiting for {_processes(plan, duty.learner, missing)} to appear{rest}"
+    progress = _progress(state, left, duty.learner)
     if duty.needs_actors and "actor" not in others.values():
         return f"waiting for an actor to appear; {duty.learner} has {progress}"
     return f"waiting for {duty.learner}: {progress}"
@@ -34,8 +40,9 @@ def stalled(plan: Plan, state: State, now: float) -> str:
     quiet = f"no progress for {now - state.progress_at_secs:,.0f} s in {phase_name(state)}"
     parts = [f"{quiet}: the coordinator is {waiting(plan, state)}"]
     learner = DUTY[state.phase].learner
-    if state.learner_waits_for:
-        parts.append(f"{learner} says it is {_is_waiting(state.learner_waits_for)}")
+    says = {life: text for life, text in state.learners_wait_for.items() if life in present(state)}
+    for life, text in sorted(says.items()):
+        parts.append(f"{learner if len(says) == 1 else life} says it is {_is_waiting(text)}")
     actors = list(present(state).values()).count("actor")
     parts.append("no actor is alive" if actors == 0 else f"{_count(actors, 'actor')} alive")
     return "; ".join(parts)
@@ -47,8 +54,49 @@ def phase_name(state: State) -> str:
     return f"{what} (level {state.level}, iteration {state.iteration}, term {state.term})"
 
 
-def _progress(plan: Plan, state: State, learner: Learner) -> str:
-    left = [block for block in blocks_at_work(plan, state) if block not in state.finished]
+def frozen_name(block: str, at: Frozen) -> str:
+    """How a block was frozen, for a person."""
+    encoder = f"encoder {at.encoder}{_old(at.encoder, at.of_encoder)}"
+    return f"{block} is frozen at {encoder} and policy {at.policy}{_old(at.policy, at.of_policy)}"
+
+
+def _old(version: int, of_version: int) -> str:
+    return "" if version == of_version else f" (that is {of_version} again)"
+
+
+def _missing(plan: Plan, state: State, learner: Learner, left: list[str]) -> list[str]:
+    """The unfinished blocks whose learner is not there: no life that is alive can be that process.
+
+    One that is alive and has said nothing in this term yet may be any of them.
+    """
+    lives = {life for life, service in present(state).items() if service == learner}
+    said = [(block, life) for block, life in state.progress if life in lives]
+    heard = {_share(plan, learner, block) for block, _ in said}
+    silent = [block for block in left if _share(plan, learner, block) not in heard]
+    wanted = {_share(plan, learner, block) for block in silent}
+    unheard = lives - {life for _, life in said}
+    are_enough = len(lives) >= plan.processes.get(learner, 1) and len(wanted) <= len(unheard)
+    return [] if are_enough else silent
+
+
+def _processes(plan: Plan, learner: Learner, blocks: list[str]) -> str:
+    """Which processes learn the blocks, and which of them."""
+    shares: dict[int, list[str]] = {}
+    for block in blocks:
+        shares.setdefault(_share(plan, learner, block), []).append(block)
+    return " and ".join(f"{learner} {index} of {_names(mine)}" for index, mine in sorted(shares.items()))
+
+
+def _share(plan: Plan, learner: Learner, block: str) -> int:
+    return plan.shares.get((learner, block), 0)
+
+
+def _names(blocks: list[str]) -> str:
+    more = len(blocks) - MOST_BLOCKS
+    return ", ".join([*blocks[:MOST_BLOCKS], *([_count(more, "more block")] if more > 0 else [])])
+
+
+def _progress(state: State, left: list[str], learner: Learner) -> str:
     named = [_block_progress(state, block, learner) for block in left[:MOST_BLOCKS]]
     if len(left) > MOST_BLOCKS:
         named.append(f"and {_count(len(left) - MOST_BLOCKS, 'more block')}")

@@ -114,6 +114,19 @@ Event = Started | Ticked | StatusReported | MemberAppeared | MemberVanished | Li
 
 
 @dataclass(frozen=True, kw_only=True)
+class Frozen:
+    """The versions with which a block that is done acts, and the versions whose work these are.
+
+    They differ where the best iteration was not the last: it is published once more, as a newer version.
+    """
+
+    encoder: int
+    policy: int
+    of_encoder: int
+    of_policy: int
+
+
+@dataclass(frozen=True, kw_only=True)
 class Announce:
     """Tell all what they do now."""
 
@@ -124,6 +137,8 @@ class Announce:
     evaluates: Phase | None
     floors: Mapping[str, tuple[int, int]]
     """The blocks at work -> the least (encoder, policy) versions to work with."""
+    frozen: Mapping[str, Frozen]
+    """The blocks of the levels below."""
 
 
 @dataclass(frozen=True, kw_only=True)

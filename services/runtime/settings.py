@@ -1,7 +1,7 @@
 """The settings of a run: one TOML per scenario, frozen, with unknown keys refused.
 
-A scenario states what differs from the defaults here; the run folder's `config.toml` records the
-whole. Defaults come from the prototype's measurements and are argued in docs/operating.md.
+A scenario states what differs from the defaults in `sections.py`; the run folder's `config.toml` records the
+whole. What a level or a block has otherwise stays beside it, and `of_level` and `of_block` put it together.
 """
 
 import json
@@ -9,193 +9,68 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
-from protocol.messages import ALL_BLOCKS, MAX_CONFIG_CHARS, MAX_STEPS, Name
+from protocol.messages import ALL_BLOCKS, MAX_CONFIG_CHARS, MAX_STEPS, Name, Phase
 from protocol.refusal import clip
-from services.runtime.errors import UserError
+from services.runtime.levels import (
+    BLOCK_TABLES,
+    LEVEL_TABLES,
+    Place,
+    SettingsError,
+    decision_steps_of,
+    levels_of,
+    merged,
+    misplaced,
+)
+from services.runtime.sections import (
+    ActorSettings,
+    BlockSettings,
+    EncoderSettings,
+    EvaluationSettings,
+    FitSettings,
+    GoalSettings,
+    LearnerSettings,
+    LevelSettings,
+    NoiseSettings,
+    PhaseSettings,
+    PolicySettings,
+    Section,
+    ViewSettings,
+    WireSettings,
+    WorldSettings,
+)
+
+__all__ = [
+    "ActorSettings",
+    "BlockSettings",
+    "EncoderSettings",
+    "EvaluationSettings",
+    "FitSettings",
+    "GoalSettings",
+    "LearnerKind",
+    "LearnerSettings",
+    "LevelSettings",
+    "NoiseSettings",
+    "PhaseSettings",
+    "PolicySettings",
+    "RunSettings",
+    "SettingsError",
+    "ViewSettings",
+    "WireSettings",
+    "WorldSettings",
+    "announced_text",
+    "load",
+    "parse",
+    "parse_announced",
+]
 
 LONGEST_SHOWN = 200
 """So many characters of a wrong value, or of its key, get into a sentence."""
+DECIDING = frozenset({Phase.GROUND, Phase.PRACTISE, Phase.EVALUATE})
+"""The phases in which a row of a segment is one decision of the block."""
 
-Positive = Annotated[int, Field(ge=1)]
-PositiveFloat = Annotated[float, Field(gt=0)]
-Fraction = Annotated[float, Field(gt=0, le=1)]
-
-
-class SettingsError(UserError, ValueError):
-    """A scenario or run configuration that cannot be used; the text is one sentence for a person."""
-
-
-class Section(BaseModel):
-    """A table of the TOML file."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class WorldSettings(Section):
-    """Which body, and its parameters (checked by babble.worlds)."""
-
-    id: str = "Cuboid"
-    parameters: dict[str, Any] = {}
-
-
-class BlockSettings(Section):
-    """One Composer block: what it observes, drives and how many vertices its simplex has."""
-
-    name: Name = "body"
-    latent_dim: Annotated[int, Field(ge=2, le=64)] = 2
-    observes: list[int] | None = None
-    """Indices of the world's observation; None for all of it."""
-    drives: list[int] | None = None
-    """Indices of the world's action; None for all of it."""
-    children: list[Name] = []
-    """Blocks below whose latents it observes and whose goals it sets (Hi-Composer); they cannot act yet."""
-
-
-class ActorSettings(Section):
-    """How many actors `babble up` starts, and how each works."""
-
-    count: Positive = 2
-    envs_per_actor: Annotated[int, Field(ge=1, le=4096)] = 8
-    """worlds stepped together with one batched inference"""
-    segment_steps: Annotated[int, Field(ge=2, le=65536)] = 128
-    """steps per world in one published segment; the rollout length of PPO"""
-    window: Annotated[int, Field(ge=1, le=64)] = 4
-    """segments sent and not yet acknowledged, at most: the back-pressure"""
-    resend_secs: PositiveFloat = 1.0
-    """an unacknowledged segment is sent again after this time"""
-
-
-class PhaseSettings(Section):
-    """How much of each phase (thesis 3.3); environment steps are summed over all worlds."""
-
-    babble_steps: Positive = 20_000
-    ground_steps: Positive = 32_768
-    walk_steps: Positive = 16_000
-    practise_steps: Positive = 12_288
-    iterations: Annotated[int, Field(ge=0)] = 4
-
-
-class NoiseSettings(Section):
-    """The random walk of the BABBLE phase."""
-
-    kind: Literal["white", "pink", "ou", "held"] = "ou"
-    scale: PositiveFloat = 0.6
-    """standard deviation of the action before clipping to the bounds"""
-    correlation: Annotated[float, Field(ge=0, lt=1)] = 0.9
-    """OU only: u <- correlation * u + noise"""
-    hold_steps: Positive = 10
-    """held only: steps between new draws"""
-
-
-class FitSettings(Section):
-    """One fit of the encoder."""
-
-    updates: Annotated[int, Field(ge=0)] = 800
-    window_steps: Positive = 30
-    """positives lie 1..window_steps apart in the same episode"""
-    temperature: PositiveFloat = 0.3
-
-
-class EncoderSettings(Section):
-    """The latent model (eq. 10) and its loss (eq. 4)."""
-
-    hidden: list[Positive] = [64, 64]
-    vision_features: Positive = 32
-    """numbers that the CNN makes of each eye's image, where a body sees"""
-    learning_rate: PositiveFloat = 1e-3
-    batch: Annotated[int, Field(ge=2)] = 128
-    similarity: Literal["l2", "cosine", "dot"] = "l2"
-    encode: FitSettings = FitSettings()
-    refine: FitSettings = FitSettings(updates=300, window_steps=8, temperature=0.15)
-    blend: Fraction = 1.0
-    """lambda of eq. 13; 1 is the thesis's alternative, a warm start without mixing"""
-
-
-class PolicySettings(Section):
-    """PPO (Stable-Baselines3) of the goal-conditioned policy (eq. 11)."""
-
-    hidden: list[Positive] = [64, 64]
-    learning_rate: PositiveFloat = 1e-3
-    rollout_columns: Positive = 16
-    """segments' columns in one update: a rollout is segment_steps x rollout_columns"""
-    epochs: Positive = 6
-    minibatch: Annotated[int, Field(ge=2)] = 512
-    discount: Fraction = 0.95
-    gae_lambda: Fraction = 0.95
-    clip: PositiveFloat = 0.2
-    entropy_weight: Annotated[float, Field(ge=0)] = 0.0
-    value_weight: Annotated[float, Field(ge=0)] = 0.5
-    max_grad_norm: PositiveFloat = 0.5
-    log_std: float = 0.0
-    """initial log standard deviation of the actions"""
-    max_policy_lag: Annotated[int, Field(ge=1)] = 2
-    """experience older than this many versions is counted and dropped"""
-
-
-class GoalSettings(Section):
-    """Goals and the reward for reaching them."""
-
-    period_steps: Positive = 100
-    """environment steps between goal draws in GROUND and PRACTISE"""
-    walk_steps_per_goal: Positive = 100
-    """environment steps per vertex in WALK"""
-    reward: Literal["squared", "dense", "sparse"] = "squared"
-    """eq. 12, eq. 9 or eq. 8"""
-    sparse_radius: PositiveFloat = 0.1
-    """epsilon_g of eq. 8"""
-    goal_weight: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1.0
-    """of the reward above in what the policy is trained on"""
-    external_weight: Annotated[float, Field(allow_inf_nan=False)] = 0.0
-    """of the task's own reward (eq. 1 for standing up); a negative one is a cost"""
-
-    @model_validator(mode="after")
-    def _rewards_something(self) -> "GoalSettings":
-        if self.goal_weight == 0 and self.external_weight == 0:
-            raise ValueError("goal_weight and external_weight are both 0, so nothing would be rewarded")
-        return self
-
-
-class EvaluationSettings(Section):
-    """How every iteration is scored."""
-
-    columns: Positive = 16
-    legs: Annotated[int, Field(ge=3)] = 5
-    """goals one after the other; the first leg is not scored"""
-    leg_steps: Positive = 100
-
-
-class WireSettings(Section):
-    """Deadlines of the distributed run."""
-
-    status_secs: PositiveFloat = 1.0
-    connect_secs: PositiveFloat = 20.0
-    """how long a process tries to reach the router before it says so and ends"""
-    stall_secs: PositiveFloat = 60.0
-    """no progress for so long is reported, with who waits for whom"""
-    grant_secs: PositiveFloat = 10.0
-    """a granted segment that does not come within this time is granted to another actor"""
-    checkpoint_secs: PositiveFloat = 60.0
-
-
-class ViewSettings(Section):
-    """What actors show to people, and how often; none of it is learned from, and all of it may be lost."""
-
-    latents_per_sec: Annotated[float, Field(ge=0, le=50)] = 5.0
-    """latents and postures of each actor; 0 for none"""
-    columns: Annotated[int, Field(ge=1, le=256)] = 16
-    """of each actor are shown, at most"""
-    trail_steps: Annotated[int, Field(ge=2, le=1024)] = 60
-    """of the first column's way are shown"""
-    poses_per_sec: Annotated[float, Field(ge=0, le=50)] = 10.0
-    """poses of a simulated body; 0 for none"""
-    images_per_sec: Annotated[float, Field(ge=0, le=50)] = 2.0
-    """what a body with eyes sees; 0 for none"""
-    shown_actors: Annotated[int, Field(ge=0)] = 1
-    """poses and images are those of the actors whose index is below this"""
-    recording_mb: Annotated[int, Field(ge=1)] = 512
-    """the recording of the dashboard may take so much of the disk (10^6 bytes); the oldest goes first"""
+LearnerKind = Literal["encoder", "policy"]
 
 
 class RunSettings(Section):
@@ -204,8 +79,11 @@ class RunSettings(Section):
     scenario: Name
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     world: WorldSettings = WorldSettings()
-    block: list[BlockSettings] = [BlockSettings()]
+    block: list[BlockSettings] = Field(default=[BlockSettings()])
+    level: list[LevelSettings] = Field(default=[])
+    """what is otherwise for the blocks of level 0, 1...; may be left out"""
     actors: ActorSettings = ActorSettings()
+    learners: LearnerSettings = LearnerSettings()
     phases: PhaseSettings = PhaseSettings()
     babbling: NoiseSettings = NoiseSettings()
     encoder: EncoderSettings = EncoderSettings()
@@ -223,31 +101,99 @@ class RunSettings(Section):
         return self
 
     @model_validator(mode="after")
-    def _segments_fit_rollouts(self) -> "RunSettings":
-        most = self.policy.rollout_columns * (self.policy.max_policy_lag + 1)
-        if self.actors.envs_per_actor > most:
-            raise ValueError(
-                f"actors.envs_per_actor may be at most {most}, that is policy.rollout_columns x "
-                "(policy.max_policy_lag + 1), or part of every segment would be too old to learn from"
-            )
+    def _learners_have_blocks(self) -> "RunSettings":
+        for kind, count in self.learners:
+            if count > len(self.block):
+                raise misplaced(
+                    ("learners", kind), f"there are only {len(self.block)} blocks to learn", count
+                )
+        least = min(self.learners.encoder, self.learners.policy)
+        for index, block in enumerate(self.block):
+            if block.learner is not None and block.learner >= least:
+                sentence = f"must be below {least}, the processes of each kind (see [learners])"
+                raise misplaced(("block", index, "learner"), sentence, block.learner)
         return self
 
     @model_validator(mode="after")
-    def _evaluations_are_one_segment(self) -> "RunSettings":
-        legs, leg_steps = self.evaluation.legs, self.evaluation.leg_steps
-        if legs * leg_steps > MAX_STEPS:
-            raise ValueError(
-                f"evaluation.legs x evaluation.leg_steps may be at most {MAX_STEPS:,}, the steps of one "
-                f"segment; got {legs:,} x {leg_steps:,}"
-            )
+    def _levels_fit(self) -> "RunSettings":
+        try:
+            levels = self.levels
+        except SettingsError:
+            return self  # no tree: whoever builds it says so, with the world's own names
+        for level, steps in enumerate(decision_steps_of(self.level, len(levels))):
+            here = self.of_level(level)
+            _check_periods(here, level, steps)
+            _check_evaluation(here, level)
+            for name in levels[level]:
+                _check_rollout(self.of_block(name), name)
         return self
+
+    @property
+    def levels(self) -> tuple[tuple[str, ...], ...]:
+        """The names of the blocks of each level, bottom-up; leaves are level 0.
+
+        Raises `SettingsError` if a block names a child that is unknown or its own ancestor.
+        """
+        return levels_of(self.block)
+
+    @property
+    def decision_steps(self) -> tuple[int, ...]:
+        """Environment steps for which one action of each level holds. Raises like `levels`."""
+        return decision_steps_of(self.level, len(self.levels))
+
+    def level_of(self, name: str) -> int:
+        """The level of a block. Raises KeyError for an unknown one, and like `levels`."""
+        for level, names in enumerate(self.levels):
+            if name in names:
+                return level
+        raise KeyError(name)
+
+    def of_level(self, level: int) -> "RunSettings":
+        """The run's settings with the tables, and `actors.segment_steps`, as they hold on a level."""
+        if level >= len(self.level):
+            return self
+        here = self.level[level]
+        changed: dict[str, Any] = _tables(self, here, LEVEL_TABLES, ("level", level))
+        if here.segment_steps is not None:
+            changed["actors"] = self.actors.model_copy(update={"segment_steps": here.segment_steps})
+        return self.model_copy(update=changed)
+
+    def of_block(self, name: str) -> "RunSettings":
+        """The run's settings as they hold for one block: the run's, its level's, its own.
+
+        Raises KeyError for an unknown block, and like `levels`.
+        """
+        around = self.of_level(self.level_of(name))
+        place: Place = ("block", [block.name for block in self.block].index(name))
+        return around.model_copy(update=_tables(around, self.one_block(name), BLOCK_TABLES, place))
+
+    def rows_env_steps(self, name: str, phase: Phase) -> int:
+        """Environment steps in one row of a block's segment of a phase; 1 on level 0.
+
+        A decision where the block acts; where it is watched, or fitted to what was watched, a decision of
+        the level below. Raises KeyError for an unknown block, and like `levels`.
+        """
+        level = self.level_of(name)
+        return self.decision_steps[level if phase in DECIDING else max(level - 1, 0)]
+
+    def learner_of(self, name: str, kind: LearnerKind) -> int:
+        """The index of the process that learns a block's encoder or policy.
+
+        Raises KeyError for an unknown block, and like `levels`.
+        """
+        asked = self.one_block(name).learner
+        if asked is not None:
+            return asked
+        count: int = getattr(self.learners, kind)
+        return self.levels[self.level_of(name)].index(name) % count
 
     def check_rewarded(self, rewarded: bool) -> None:
         """Raise `SettingsError` if a reward is weighed that the world never gives.
 
         `rewarded`: it has a task, and so a reward of its own.
         """
-        weight = self.goals.external_weight
+        weights = (self.of_level(level).goals.external_weight for level in range(len(self.levels)))
+        weight = next((weight for weight in weights if weight != 0), 0.0)
         if weight != 0 and not rewarded:
             raise SettingsError(
                 f"goals.external_weight is {weight:g}, and the world {self.world.id} has no reward of its "
@@ -323,3 +269,44 @@ def parse_announced(text: str, *, origin: str) -> RunSettings:
     raise SettingsError(
         f"{fault}; the coordinator's side has another version of babble, install the same one on both"
     )
+
+
+def _tables(run: RunSettings, change: Section, names: tuple[str, ...], place: Place) -> dict[str, Section]:
+    """Those of the run's tables that are otherwise in `change`."""
+    return {
+        name: merged(getattr(run, name), getattr(change, name), (*place, name))
+        for name in names
+        if getattr(change, name)
+    }
+
+
+def _check_periods(run: RunSettings, level: int, decision_steps: int) -> None:
+    """Goals may only change when the level decides."""
+    goals, leg_steps = run.goals, run.evaluation.leg_steps
+    periods = {
+        ("goals", "period_steps"): goals.period_steps,
+        ("goals", "walk_steps_per_goal"): goals.walk_steps_per_goal,
+        ("evaluation", "leg_steps"): leg_steps,
+    }
+    for (table, key), steps in periods.items():
+        if steps % decision_steps:
+            sentence = f"must be a multiple of the {decision_steps} environment steps of the level's decision"
+            raise misplaced(("level", level, table, key), sentence, steps)
+
+
+def _check_evaluation(run: RunSettings, level: int) -> None:
+    legs, leg_steps = run.evaluation.legs, run.evaluation.leg_steps
+    if legs * leg_steps > MAX_STEPS:
+        place: Place = ("level", level, "evaluation") if level else ("evaluation",)
+        sentence = f"legs x leg_steps may be at most {MAX_STEPS:,}, the steps of one segment"
+        raise misplaced(place, sentence, legs * leg_steps)
+
+
+def _check_rollout(run: RunSettings, block: str) -> None:
+    most = run.policy.rollout_columns * (run.policy.max_policy_lag + 1)
+    if run.actors.envs_per_actor > most:
+        sentence = (
+            f"may be at most {most}, that is policy.rollout_columns x (policy.max_policy_lag + 1) of block "
+            f"{block}, or part of every segment would be too old to learn from"
+        )
+        raise misplaced(("actors", "envs_per_actor"), sentence, run.actors.envs_per_actor)

@@ -11,6 +11,7 @@ from protocol.contents import MODEL_ARRAYS, SEGMENT_ARRAYS, VIEW_ARRAYS, Rules
 from protocol.messages import (
     Ack,
     Command,
+    Frozen,
     Message,
     Model,
     ModelFloor,
@@ -92,6 +93,7 @@ models = st.builds(
     arrays=arrays_for(MODEL_ARRAYS, {}),
 )
 floors = st.builds(ModelFloor, encoder=counts, policy=counts)
+frozen = st.builds(Frozen, encoder=counts, policy=counts, of_encoder=counts, of_policy=counts)
 announcements = st.builds(
     PhaseAnnounced,
     **header,
@@ -101,6 +103,7 @@ announcements = st.builds(
     iterations=counts,
     evaluates=st.none() | phases,
     blocks=st.dictionaries(names, floors, max_size=3),
+    frozen=st.dictionaries(names, frozen, max_size=3),
 )
 settings = st.builds(
     SettingsAnnounced, **header, config=st.text(string.printable[:95], max_size=100), began_ms=counts

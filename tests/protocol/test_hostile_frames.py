@@ -7,12 +7,13 @@ import msgpack
 import numpy as np
 import pytest
 
+from protocol import PROTOCOL
 from protocol.codec import MAX_NODES, Reason, Refused, decode, encode
 from protocol.keys import MAX_FRAME_BYTES
 from tests.protocol.golden.make import GOLDEN, path
 
 MEBIBYTE = 1 << 20
-HEAD = b"\x84\xa1p\x01\xa1k\xa7segment"
+HEAD = b"\x84\xa1p\x02\xa1k\xa7segment"
 
 
 def refusal(frame: bytes) -> Refused:
@@ -52,14 +53,14 @@ BOMBS = {
     + b"\xdc\x01\x00"
     + (b"\xdb\x00\x0f\xff\xff" + "\U0001f40c".encode() + b"a" * (MEBIBYTE - 5)) * 16,
     "a long text": b"\x81\xa1p\xdb" + (8 * MEBIBYTE).to_bytes(4, "big") + b"a" * 8 * MEBIBYTE,
-    "bytes for a kind": msgpack.packb({"p": 1, "k": b"a" * 8 * MEBIBYTE, "h": {}}),
+    "bytes for a kind": msgpack.packb({"p": PROTOCOL, "k": b"a" * 8 * MEBIBYTE, "h": {}}),
     "bytes for a number": msgpack.packb({"p": b"a" * 8 * MEBIBYTE, "k": "ack", "h": {}}),
     "bytes for a shape": with_array(["<i4", b"a" * 8 * MEBIBYTE, b""]),
     "bytes for a name": with_array([], name=b"a" * 8 * MEBIBYTE),
     "a thousand unknown fields": msgpack.packb(
-        {"p": 1, "k": "ack", "h": {f"{i}" * 99: {f"{j}": j for j in range(20)} for i in range(256)}}
+        {"p": PROTOCOL, "k": "ack", "h": {f"{i}" * 99: {f"{j}": j for j in range(20)} for i in range(256)}}
     ),
-    "all scores wrong": msgpack.packb({"p": 1, "k": "status", "h": {"scores": [{"a": 1}] * 256}}),
+    "all scores wrong": msgpack.packb({"p": PROTOCOL, "k": "status", "h": {"scores": [{"a": 1}] * 256}}),
 }
 
 
@@ -80,7 +81,7 @@ def test_a_bomb_is_refused_within_bounds_of_time_and_memory(bomb):
 
 
 def test_a_frame_has_a_bounded_number_of_values():
-    crowd = msgpack.packb({"p": 1, "k": "ack", "h": {"x": [[1] * 200] * 90}})
+    crowd = msgpack.packb({"p": PROTOCOL, "k": "ack", "h": {"x": [[1] * 200] * 90}})
     assert f"more than {MAX_NODES} values" in str(refusal(crowd))
 
 
@@ -107,7 +108,7 @@ def test_a_key_that_stands_twice_is_ambiguous():
     refused = refusal(doubled)
     assert refused.reason is Reason.MALFORMED
     assert "same key twice" in str(refused)
-    assert refusal(b"\x84\xa1p\x01\xa1p\x01" + frame[4:]).reason is Reason.MALFORMED
+    assert refusal(b"\x84\xa1p\x02\xa1p\x02" + frame[4:]).reason is Reason.MALFORMED
 
 
 @pytest.mark.parametrize("tail", [b"\x00", b"\xc0", path("ack").read_bytes()])
@@ -132,19 +133,19 @@ def test_what_is_no_map_of_a_frame_is_refused(frame):
 @pytest.mark.parametrize(
     "envelope",
     [
-        {"p": 1, "k": "ack"},
-        {"p": 1, "k": "ack", "h": []},
-        {"p": 1, "k": "ack", "h": {}, "a": {}},
-        {"p": 1, "k": "ack", "h": {}, "z": 1},
-        {"p": 1, "k": "segment", "h": {}},
-        {"p": 1, "k": "ack", b"h": {}},
+        {"p": PROTOCOL, "k": "ack"},
+        {"p": PROTOCOL, "k": "ack", "h": []},
+        {"p": PROTOCOL, "k": "ack", "h": {}, "a": {}},
+        {"p": PROTOCOL, "k": "ack", "h": {}, "z": 1},
+        {"p": PROTOCOL, "k": "segment", "h": {}},
+        {"p": PROTOCOL, "k": "ack", b"h": {}},
     ],
 )
 def test_an_envelope_has_exactly_its_entries(envelope):
     assert refusal(msgpack.packb(envelope)).reason is Reason.MALFORMED
 
 
-@pytest.mark.parametrize("number", [True, 1.0, "1", b"\x01", None, 0, 2, -1, 2**64 - 1, [1]])
+@pytest.mark.parametrize("number", [True, 2.0, "2", b"\x02", None, 0, 1, 3, -1, 2**64 - 1, [1]])
 def test_only_the_number_itself_is_the_protocol(number):
     refused = refusal(msgpack.packb({"p": number, "k": "ack", "h": {}}))
     assert refused.reason is Reason.WRONG_PROTOCOL

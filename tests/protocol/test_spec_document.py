@@ -11,7 +11,7 @@ import protocol
 from protocol import arrays, codec, keys, messages
 from protocol.contents import MODEL_ARRAYS, SEGMENT_ARRAYS, VIEW_ARRAYS, Rules
 from protocol.keys import DELIVERY
-from protocol.messages import MESSAGES, Header, ModelFloor, Phase, Progress, Score
+from protocol.messages import MESSAGES, Frozen, Header, ModelFloor, Phase, Progress, Score
 from protocol.refusal import Reason
 
 TEXT = (Path(protocol.__file__).parent / "SPEC.md").read_text(encoding="utf-8")
@@ -53,6 +53,7 @@ TABLES = [
     ("Fields of every header", "field", Header),
     *((kind, "field", message) for kind, message in MESSAGES.items()),
     ("phase", "field of a floor", ModelFloor),
+    ("phase", "field of a frozen", Frozen),
     ("status", "field of a progress", Progress),
     ("status", "field of a score", Score),
 ]

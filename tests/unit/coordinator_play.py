@@ -16,8 +16,8 @@ from services.coordinator.words import (
     StatusReported,
 )
 
-FLAT = Plan(levels=(("body",),), iterations=2, stall_secs=60.0)
-HAND = Plan(levels=(("thumb", "index"), ("hand",)), iterations=1, stall_secs=60.0)
+FLAT = Plan(levels=(("body",),), iterations=(2,), stall_secs=60.0)
+HAND = Plan(levels=(("thumb", "index"), ("hand",)), iterations=(1, 1), stall_secs=60.0)
 
 
 def play(plan: Plan, events: Sequence[Event], state: State | None = None) -> tuple[State, list[Order]]:

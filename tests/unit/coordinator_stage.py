@@ -121,12 +121,17 @@ class Stage:
         now = self.describe()
         term, phase = now["term"], Phase(now["phase"])
         learner, model = ("encoder_learner", "encoder") if phase in ENCODERS else ("policy_learner", "policy")
+        blocks = self.settings.levels[now["level"]]
         self.say(
             learner,
             term=term,
-            versions={f"{model}/body": term},
-            progress=[Progress(block="body", done=9, wanted=9, unit="steps", finished=True)],
-            scores=[a_score(now["iteration"], now["evaluates"])] if phase is Phase.EVALUATE else [],
+            versions={f"{model}/{block}": term for block in blocks},
+            progress=[
+                Progress(block=block, done=9, wanted=9, unit="steps", finished=True) for block in blocks
+            ],
+            scores=[a_score(now["iteration"], now["evaluates"], block) for block in blocks]
+            if phase is Phase.EVALUATE
+            else [],
         )
         self.announced()
         self.poll()
@@ -157,10 +162,10 @@ def _message(arrival: object) -> object:
     return decode(arrival.data)
 
 
-def a_score(iteration: int, phase: str) -> Score:
+def a_score(iteration: int, phase: str, block: str = "body") -> Score:
     return Score(
         run=RUN,
-        block="body",
+        block=block,
         iteration=iteration,
         phase=Phase(phase),
         separation=0.95,

@@ -26,7 +26,7 @@ from services.coordinator.words import (
     Ticked,
 )
 
-PLAN = Plan(levels=(("body",),), iterations=1, stall_secs=60.0)
+PLAN = Plan(levels=(("body",),), iterations=(1,), stall_secs=60.0)
 RECORDED = sorted((Path(__file__).parent / "journals").glob("*.jsonl"))
 
 ROW = ScoreRow(
@@ -174,7 +174,7 @@ def test_a_damaged_first_line_is_named(tmp_path: Path, header: bytes) -> None:
     [
         ("other", PLAN, "run = 'test', and now it is 'other'"),
         ("test", replace(PLAN, levels=(("hand",),)), "levels = "),
-        ("test", replace(PLAN, iterations=9), "iterations = 1, and now it is 9"),
+        ("test", replace(PLAN, iterations=(9,)), r"iterations = \[1\], and now it is \[9\]"),
     ],
     ids=["run", "blocks", "iterations"],
 )
@@ -203,7 +203,7 @@ def test_a_recorded_journal_leads_where_it_led(path: Path, tmp_path: Path) -> No
     header = json.loads(path.read_text(encoding="utf-8").splitlines()[0])
     plan = Plan(
         levels=tuple(map(tuple, header["levels"])),
-        iterations=header["iterations"],
+        iterations=(header["iterations"],) * len(header["levels"]),
         stall_secs=expected["stall_secs"],
     )
     copy = tmp_path / path.name
@@ -223,6 +223,19 @@ def test_a_recorded_journal_leads_where_it_led(path: Path, tmp_path: Path) -> No
     kept = {block: best_of(state, block) for level in plan.levels for block in level}
     assert {block: best.iteration for block, best in kept.items() if best} == expected["best"]
     assert state == replay(plan, journal.events)
+
+
+def test_a_journal_from_before_levels_had_their_own_iterations_is_gone_on_with(tmp_path: Path) -> None:
+    old = next(path for path in RECORDED if path.stem == "hand_of_two_levels")
+    path = tmp_path / "journal.jsonl"
+    path.write_bytes(old.read_bytes())
+    levels = (("thumb", "index"), ("hand",))
+    plan = Plan(levels=levels, iterations=(1, 1), stall_secs=60.0)
+    with pytest.raises(JournalError, match=r"iterations = \[1, 1\], and now it is \[1, 2\]"):
+        Journal(path, "test", replace(plan, iterations=(1, 2)))
+    journal = Journal(path, "test", plan)
+    journal.close()
+    assert set(replay(plan, journal.events).frozen) == {"thumb", "index"}
 
 
 def test_a_second_coordinator_is_refused_until_the_first_has_ended(tmp_path: Path) -> None:

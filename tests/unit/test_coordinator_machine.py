@@ -9,13 +9,14 @@ import pytest
 
 from protocol import messages
 from services.coordinator.machine import decide
-from services.coordinator.state import OwnLink, State, present
+from services.coordinator.state import OwnLink, Plan, State, present
 from services.coordinator.table import NEXT, Phase
 from services.coordinator.words import (
     Announce,
     BlockProgress,
     End,
     Event,
+    Frozen,
     KeepBest,
     LinkChanged,
     MemberAppeared,
@@ -58,8 +59,15 @@ def test_levels_train_bottom_up_and_each_starts_with_babble() -> None:
     assert [a.term for a in said] == list(range(1, 18))
 
 
+def test_each_level_iterates_as_often_as_its_plan_says() -> None:
+    said = run_through(replace(HAND, iterations=(0, 2)))
+    assert [(a.level, a.iteration) for a in said if a.phase is Phase.EVALUATE] == [
+        (0, 0), (1, 0), (1, 1), (1, 2),
+    ]  # fmt: skip
+
+
 def test_without_iterations_a_run_ends_after_the_first_evaluation() -> None:
-    said = run_through(replace(FLAT, iterations=0))
+    said = run_through(replace(FLAT, iterations=(0,)))
     assert [a.phase.value for a in said] == ["babble", "encode", "ground", "evaluate", "done"]
 
 
@@ -103,6 +111,77 @@ def test_a_phase_waits_for_every_block_whichever_life_finished_it() -> None:
     assert (state.phase, orders) == (Phase.BABBLE, [])
     state, _ = decide(HAND, state, replace(word, life="after", progress=word.progress[1:]))
     assert state.phase is Phase.ENCODE
+
+
+def said_at(state: State, row: ScoreRow) -> StatusReported:
+    """The end of an evaluation in which the row is found of its block, and little of the others."""
+    word = finishing(HAND, state)
+    others = (replace(other, z_min=0.1) for other in word.scores if other.block != row.block)
+    return replace(word, scores=(*others, row), versions={})
+
+
+def left_level_0(*rows: dict[str, object], plan: Plan = HAND) -> State:
+    """At the beginning of level 1; the rows are what the evaluations found of the thumb."""
+    state = walk_to(plan, Phase.EVALUATE)
+    for iteration, row in enumerate(rows):
+        while (state.phase, state.iteration) != (Phase.EVALUATE, iteration):
+            state, _ = decide(plan, state, finishing(plan, state))
+        state, _ = decide(plan, state, said_at(state, score(state, "thumb", **row)))
+    assert (state.level, state.phase) == (1, Phase.BABBLE)
+    return state
+
+
+def test_a_block_is_frozen_at_its_newest_versions_where_these_are_its_best() -> None:
+    rows = (
+        {"z_min": 0.5, "encoder_version": 102, "policy_version": 103},
+        {"z_min": 0.9, "encoder_version": 106, "policy_version": 107},
+    )
+    assert left_level_0(*rows).frozen["thumb"] == Frozen(
+        encoder=106, policy=107, of_encoder=106, of_policy=107
+    )
+
+
+def test_a_block_whose_best_iteration_was_not_the_last_is_frozen_at_versions_yet_to_come() -> None:
+    rows = (
+        {"z_min": 0.95, "encoder_version": 102, "policy_version": 103},
+        {"z_min": 0.4, "encoder_version": 106, "policy_version": 107},
+    )
+    state = left_level_0(*rows)
+    assert state.frozen["thumb"] == Frozen(encoder=107, policy=108, of_encoder=102, of_policy=103)
+    assert set(state.frozen) == {"thumb", "index"}
+    published = StatusReported(
+        now=5.0, service="policy_learner", life="a", term=state.term, versions={"policy/thumb": 108}
+    )
+    after, orders = decide(HAND, state, published)
+    assert (after.frozen, after.versions["policy/thumb"], orders) == (state.frozen, 108, [])
+
+
+def test_the_mean_policy_decides_what_is_frozen() -> None:
+    state = walk_to(HAND, Phase.EVALUATE)
+    word = said_at(state, score(state, "thumb", z_min=0.5, encoder_version=102, policy_version=103))
+    state, _ = decide(HAND, state, word)
+    while state.phase is not Phase.EVALUATE:
+        state, _ = decide(HAND, state, finishing(HAND, state))
+    row = score(state, "thumb", z_min=1.0, policy="sampled", encoder_version=106, policy_version=107)
+    state, _ = decide(HAND, state, said_at(state, row))
+    assert state.frozen["thumb"].of_policy == 103
+
+
+def test_a_block_without_a_score_is_frozen_at_its_newest_versions() -> None:
+    plan = replace(HAND, iterations=(0, 0))
+    state = walk_to(plan, Phase.EVALUATE)
+    state, _ = decide(plan, state, replace(finishing(plan, state), scores=(), versions={}))
+    assert state.frozen["index"] == Frozen(encoder=102, policy=103, of_encoder=102, of_policy=103)
+
+
+def test_what_is_frozen_is_said_in_every_later_phase_and_of_every_level_below() -> None:
+    tree = Plan(levels=(("thumb", "index"), ("hand",), ("arm",)), iterations=(0, 0, 0), stall_secs=60.0)
+    said = run_through(tree)
+    below = {0: set[str](), 1: {"thumb", "index"}, 2: {"thumb", "index", "hand"}}
+    assert all(set(a.frozen) == below[a.level] for a in said)
+    assert {a.phase for a in said if a.level == 2} >= {Phase.BABBLE, Phase.EVALUATE, Phase.DONE}
+    assert len({str(a.frozen["thumb"]) for a in said if a.level > 0}) == 1, "it stays as it was"
+    assert all(a.frozen == {} for a in run_through(FLAT))
 
 
 def test_floors_are_the_versions_the_learners_reported() -> None:

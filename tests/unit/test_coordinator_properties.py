@@ -7,8 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.coordinator.machine import decide
-from services.coordinator.state import Plan, State
+from services.coordinator.state import Plan, State, blocks_at_work
 from services.coordinator.table import NEXT, Phase
+from services.coordinator.waiting import stalled, waiting
 from services.coordinator.words import (
     Announce,
     BlockProgress,
@@ -134,5 +135,30 @@ def test_any_event_in_any_state_moves_legally_or_changes_nothing(history: list[E
         assert (after.phase, after.level, after.iteration) == (before.phase, before.level, before.iteration)
         assert not announced or isinstance(event, Started)
     assert 0 <= after.level < len(HAND.levels)
-    assert 0 <= after.iteration <= HAND.iterations
+    assert set(after.frozen) == {block for level in HAND.levels[: after.level] for block in level}
+    if after.level == before.level:
+        assert after.frozen == before.frozen
+    for at in after.frozen.values():
+        assert (at.of_encoder, at.of_policy) <= (at.encoder, at.policy)
+    assert 0 <= after.iteration <= HAND.iterations[after.level]
     assert len({row.key for row in after.scores}) == len(after.scores)
+
+
+SHARED = replace(
+    HAND,
+    processes={"encoder_learner": 2, "policy_learner": 2},
+    shares={("encoder_learner", "index"): 1, ("policy_learner", "index"): 1},
+)
+
+
+@given(histories(SHARED), st.floats(0.0, 1e6))
+@settings(max_examples=150, deadline=None)
+def test_in_any_state_there_is_one_sentence_on_who_is_waited_for(history: list[Event], now: float) -> None:
+    state, _ = play(SHARED, history)
+    sentence = waiting(SHARED, state)
+    assert "\n" not in sentence
+    assert bool(sentence) or state.phase is Phase.DONE
+    if "learner 1 of" in sentence:
+        assert set(blocks_at_work(SHARED, state)) - state.finished, "nobody is missed who has nothing to do"
+    if state.working:
+        assert sentence in stalled(SHARED, state, now)

@@ -2,19 +2,15 @@
 
 import json
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from protocol import keys
 from protocol.codec import decode
-from protocol.messages import ALL_BLOCKS, MAX_REPLY_CHARS, Phase, Reply, Status
-from services.coordinator.report import describe
-from services.coordinator.state import Member, State
-from services.launcher.status_command import status_lines
+from protocol.messages import Frozen, Phase, Reply
 from services.runtime.errors import StorageError
-from tests.unit.coordinator_play import FLAT, score
+from services.runtime.settings import parse
 from tests.unit.coordinator_stage import RUN, Stage
 
 
@@ -50,6 +46,32 @@ def test_it_drives_a_run_to_done_and_ends_when_all_have_left(stage: Stage) -> No
         stage.hub.crash(life)
     assert stage.poll(0.1) is None
     assert stage.said()[-1].phase is Phase.DONE
+
+
+def test_what_is_frozen_is_announced_told_and_noted_and_survives_a_kill(tmp_path: Path) -> None:
+    blocks = [{"name": "hand", "children": ["thumb", "index"]}, {"name": "thumb"}, {"name": "index"}]
+    level = [{}, {"phases": {"iterations": 0}}]
+    table = {"scenario": "test", "phases": {"iterations": 1}, "block": blocks, "level": level}
+    stage = Stage(tmp_path, parse(table, origin="test"))
+    stage.start("coordinator-1")
+    stage.everybody_joins()
+    stage.poll()
+    babble = stage.finish_until(9)
+    assert (babble.phase, babble.level, babble.iterations) == (Phase.BABBLE, 1, 0)
+    at = Frozen(encoder=7, policy=9, of_encoder=3, of_policy=6)
+    assert babble.frozen == {"thumb": at, "index": at}
+    stage.kill()
+    stage.start("coordinator-2")
+    stage.poll()
+    assert stage.announced()[-1].frozen == babble.frozen
+    assert stage.describe()["frozen"][0] == {"block": "thumb", **at.model_dump()}
+    noted = [line["text"] for line in stage.lines("events.jsonl") if line["what"] == "frozen"]
+    assert noted == [
+        f"{block} is frozen at encoder 7 (that is 3 again) and policy 9 (that is 6 again)"
+        for block in ("index", "thumb")
+    ]
+    stage.coordinator.stop()
+    stage.poll()
 
 
 def test_after_done_it_does_not_wait_for_stragglers_for_ever(stage: Stage) -> None:
@@ -199,42 +221,6 @@ def test_describe_tells_who_is_there_and_what_it_waits_for(stage: Stage) -> None
     assert {member["service"] for member in told["members"]} == {"actor", "encoder_learner", "policy_learner"}
     assert (told["run"], told["phase"], told["iteration"], told["iterations"]) == (RUN, "babble", 0, 1)
     assert told["unlisted"] == 0
-
-
-def test_describe_answers_with_the_newest_scores_however_many_there_are() -> None:
-    state = State(term=1)
-    row = replace(
-        score(state, "body"),
-        landmarks={"open": 1 / 3, "closed": 2 / 3},
-        external_reward_by_vertex=(1 / 3,) * 64,
-    )
-    state = replace(state, scores=tuple(replace(row, iteration=number) for number in range(2000)))
-    text = describe(RUN, FLAT, state, {})
-    assert len(text) <= MAX_REPLY_CHARS
-    told = [told["iteration"] for told in json.loads(text)["scores"]]
-    assert len(told) > 30
-    assert told == list(range(2000 - len(told), 2000))
-
-
-def test_describe_fits_into_a_reply_however_much_there_is_to_tell() -> None:
-    blocks = tuple(f"block-{number:056}" for number in range(256))
-    plan = replace(FLAT, levels=(blocks,))
-    lives = [f"actor-{number:056}" for number in range(300)]
-    state = State(term=1, phase=Phase.EVALUATE, members={life: Member(service="actor") for life in lives})
-    state = replace(state, scores=tuple(score(state, block) for block in blocks))
-    heard = {
-        life: Status(
-            run=RUN, term=1, block=ALL_BLOCKS, life=life, seq=0, service="actor",
-            totals={f"{number:0200}": number for number in range(256)}, last_error="é" * 2000,
-        )
-        for life in lives[1:]
-    }  # fmt: skip
-    text = describe(RUN, plan, state, heard)
-    assert len(text) <= MAX_REPLY_CHARS
-    told = json.loads(text)
-    assert told["members"][0]["life"] == lives[0]
-    assert len(told["members"]) + told["unlisted"] == 300
-    assert status_lines(told)[2 + 1 + len(told["members"])] == f"and {told['unlisted']} more"
 
 
 def test_blocks_with_long_lists_of_indices_do_not_keep_it_from_answering(stage: Stage) -> None:

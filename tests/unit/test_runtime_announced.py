@@ -88,10 +88,10 @@ def test_after_the_deadline_it_says_which_run_is_missing_where_and_which_there_a
 def test_a_frame_of_another_protocol_is_named_instead_of_a_run_that_is_missing() -> None:
     stage = Stage()
     stage.hub.connect("coordinator-1").publish(
-        "settings", keys.settings("cuboid"), b"\x83\xa1p\x02\xa1k\xa8settings\xa1h\x80"
+        "settings", keys.settings("cuboid"), b"\x83\xa1p\x01\xa1k\xa8settings\xa1h\x80"
     )
     with pytest.raises(
-        UnknownRunError, match="speaks protocol 2, this process speaks 1; run the same version"
+        UnknownRunError, match="speaks protocol 1, this process speaks 2; run the same version"
     ):
         stage.join().wait(WHERE, 1.0)
 

@@ -14,6 +14,7 @@ from protocol.codec import encode
 from protocol.messages import (
     Ack,
     Command,
+    Frozen,
     Message,
     Model,
     ModelFloor,
@@ -151,6 +152,17 @@ GOLDEN: dict[str, Message] = {
         iterations=4,
         evaluates=Phase.PRACTISE,
         blocks={"body": ModelFloor(encoder=2, policy=9), "hand": ModelFloor()},
+    ),
+    "phase-frozen": PhaseAnnounced(
+        **header(block="all", life="coordinator-1"),
+        phase=Phase.BABBLE,
+        level=1,
+        iterations=1,
+        blocks={"hand": ModelFloor()},
+        frozen={
+            "thumb": Frozen(encoder=4, policy=19, of_encoder=2, of_policy=9),
+            "index": Frozen(encoder=3, policy=18, of_encoder=3, of_policy=18),
+        },
     ),
     "settings": SettingsAnnounced(
         **header(block="all", life="coordinator-1"),
