@@ -1,6 +1,6 @@
 """What the encoder learner takes from the run's settings."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,9 +33,18 @@ class EncoderWorkConfig:
     latent_dim: int
     encoder: EncoderSettings
     segment_steps: int
+    """rows of a segment"""
     steps: dict[Phase, int]
     """Environment steps to collect, by phase."""
+    steps_per_row: dict[Phase, int]
+    """Environment steps that one row of a segment stands for, by phase."""
+    level: int
+    """Only the blocks of one level collect at a time."""
     seed: int
+
+    def rows(self, phase: Phase) -> int:
+        """Rows to collect: the steps of the phase, rounded up."""
+        return -(-self.steps[phase] // self.steps_per_row[phase])
 
     def fit(self, phase: Phase) -> FitSettings:
         """The fit of a phase: coarse in time for ENCODE, fine for REFINE."""
@@ -49,30 +58,32 @@ def work_config(
 
     Raises `SettingsError` for a block that observes part of an image.
     """
+    own = settings.of_block(block)
     return EncoderWorkConfig(
         block=block,
         senses=_senses_of(tree, senses, block),
         latent_dim=settings.one_block(block).latent_dim,
-        encoder=settings.encoder,
-        segment_steps=settings.actors.segment_steps,
-        steps={Phase.BABBLE: settings.phases.babble_steps, Phase.WALK: settings.phases.walk_steps},
+        encoder=own.encoder,
+        segment_steps=own.actors.segment_steps,
+        steps={Phase.BABBLE: own.phases.babble_steps, Phase.WALK: own.phases.walk_steps},
+        steps_per_row={phase: settings.rows_env_steps(block, phase) for phase in COLLECTS},
+        level=tree.level_of(block),
         seed=int(np.random.SeedSequence([settings.seed, 1, index]).generate_state(1)[0]),
     )
 
 
-def check_memory(configs: Iterable[EncoderWorkConfig]) -> None:
-    """Raises `SettingsError` where the experience of all blocks would take more than `MOST_BYTES`."""
-    held = {
-        config.block: max(config.steps.values()) * bytes_per_step(Layout(config.senses)) for config in configs
-    }
-    needed = COPIES * sum(held.values())
-    if needed > MOST_BYTES:
-        most = max(held, key=lambda block: held[block])
-        raise SettingsError(
-            f"the encoder learner would need {needed / 1e9:.1f} GB to hold and checkpoint the experience of "
-            f"a phase (most for block {most!r}), over its limit of {MOST_BYTES / 1e9:.0f} GB; lower "
-            "phases.babble_steps and phases.walk_steps, or the resolution of the world's senses"
-        )
+def check_memory(configs: Sequence[EncoderWorkConfig]) -> None:
+    """Raises `SettingsError` where the experience of a level's blocks would take more than `MOST_BYTES`."""
+    for level in sorted({config.level for config in configs}):
+        held = {config.block: _held_bytes(config) for config in configs if config.level == level}
+        needed = COPIES * sum(held.values())
+        if needed > MOST_BYTES:
+            most = max(held, key=lambda block: held[block])
+            raise SettingsError(
+                f"the encoder learner would need {needed / 1e9:.1f} GB to hold and checkpoint the experience "
+                f"of a phase (most for block {most!r}), over its limit of {MOST_BYTES / 1e9:.0f} GB; lower "
+                "phases.babble_steps and phases.walk_steps, or the resolution of the world's senses"
+            )
 
 
 def check_models(configs: Iterable[EncoderWorkConfig]) -> None:
@@ -88,6 +99,11 @@ def check_models(configs: Iterable[EncoderWorkConfig]) -> None:
                 f"{MAX_FRAME_BYTES / 1e6:.1f} MB; lower encoder.hidden or "
                 "encoder.vision_features, or the resolution of the world's senses"
             )
+
+
+def _held_bytes(config: EncoderWorkConfig) -> int:
+    """Of the longer of the two phases that collect."""
+    return max(config.rows(phase) for phase in COLLECTS) * bytes_per_step(Layout(config.senses))
 
 
 def _senses_of(tree: BlockTree, senses: Senses, block: str) -> Senses:

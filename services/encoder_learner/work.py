@@ -10,6 +10,7 @@ from babble.encoder.export import export_encoder
 from babble.encoder.network import Encoder
 from babble.encoder.training import EncoderTrainer
 from babble.memory import EPISODES, ExperienceMemory
+from babble.policy.act import EncoderModel
 from protocol.messages import Phase, PhaseAnnounced, Progress, Score, Segment
 from services.encoder_learner.config import COLLECTS, FITS, EncoderWorkConfig
 from services.runtime.clock import Clock
@@ -100,10 +101,10 @@ class EncoderWork:
         return False
 
     def wanted_columns(self) -> int:
-        """What is still to collect, in columns of `segment_steps` steps."""
+        """What is still to collect, in columns of `segment_steps` rows."""
         if self._phase not in COLLECTS:
             return 0
-        missing = self._config.steps[self._phase] - self._memory.steps
+        missing = self._config.rows(self._phase) - self._memory.steps
         return max(0, -(-missing // self._config.segment_steps))
 
     def request(self) -> tuple[Want, int]:
@@ -111,11 +112,11 @@ class EncoderWork:
         return ("sampled" if self._phase is Phase.WALK else "random"), 0
 
     def progress(self) -> Progress | None:
-        """Steps collected, or updates done."""
+        """Environment steps collected, or updates done."""
         if self._phase in COLLECTS:
             return Progress(
                 block=self.block,
-                done=self._memory.steps,
+                done=self._memory.steps * self._config.steps_per_row[self._phase],
                 wanted=self._config.steps[self._phase],
                 unit="steps",
             )
@@ -141,6 +142,22 @@ class EncoderWork:
     def totals(self) -> Mapping[str, int]:
         """Updates of the encoder since the run began."""
         return {f"{self.block}/encoder_updates": self._updates_total}
+
+    def freeze(self, version: int, onnx: bytes) -> None:
+        """Offer this encoder as `version` and learn no more. Raises ValueError for another block's."""
+        model = EncoderModel(onnx)
+        encoder = self._trainer.encoder
+        found = model.observation_size, model.latent_dim
+        if found != (encoder.observation_size, self._config.latent_dim):
+            raise ValueError(
+                f"it makes {found[1]} numbers of {found[0]}, and the block's encoder makes "
+                f"{self._config.latent_dim} of {encoder.observation_size}"
+            )
+        self._phase = None
+        self._memory.clear()
+        self._streams.clear()
+        self._version = version
+        self._offer = self._as_offer(onnx)
 
     def state(self) -> bytes:
         """Weights, optimiser, memory, random state and counts."""
@@ -206,7 +223,7 @@ class EncoderWork:
         self._trainer.end_fit(blend=1.0 if phase is Phase.ENCODE else self._config.encoder.blend)
         self._fitted = True
         self._version += 1
-        self._offer = self._as_offer(export_encoder(self._trainer.encoder))
+        self._offer = self._as_offer(export_encoder(self._trainer.encoder, self.block))
 
     def _as_offer(self, onnx: bytes) -> ModelOffer:
         return ModelOffer(

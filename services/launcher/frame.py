@@ -14,7 +14,7 @@ from services.launcher.lines import (
     score_table,
     wrapped,
 )
-from services.launcher.members import BlockWork, Picture
+from services.launcher.members import BlockWork, Picture, by_learner
 from services.launcher.roster import roster
 from services.runtime.phases import phase_words
 
@@ -23,6 +23,7 @@ MOST_ROWS = 8
 MOST_ERRORS = 3
 MOST_EVENTS = 8
 LONGEST_BAR = 30
+LEAST_BAR = 6
 LAST_IMPORTANT = 5
 """The rank of the last section that is shown whole before any gap."""
 
@@ -69,10 +70,11 @@ def frame(
 
 
 def facts(picture: Picture, now_secs: float, width: int, signs: Signs | None = None) -> list[Line]:
-    """What goes wrong, what is learned, who is there and how the wire does, without a limit of height."""
+    """What works, goes wrong and is learned, who is there and how the wire does, of any height."""
     signs = signs or Signs()
     rows: list[Line] = []
     for section in (
+        _section(1, _works(picture, now_secs, width, signs), 0),
         _errors(picture, width),
         _learning(picture, width, signs),
         _members(picture, now_secs, width),
@@ -129,10 +131,7 @@ def _phase(picture: Picture, now_secs: float, width: int, signs: Signs) -> Secti
     if picture.announced is None:
         return _section(1, [((picture.opening, "bold cyan"),)], 1)
     rows: list[Line] = [((phase_words(picture.announced), "bold cyan"),)]
-    works = picture.work(now_secs)
-    longest = max((len(work.progress.block) for work in works), default=0)
-    for work in works:
-        rows += _bar(work, longest, width, signs)
+    rows += _works(picture, now_secs, width, signs)
     if not picture.linked:
         rows.append((("the link to the router is lost; it comes back by itself", "yellow"),))
     for sentence in picture.waiting()[:3]:
@@ -140,18 +139,32 @@ def _phase(picture: Picture, now_secs: float, width: int, signs: Signs) -> Secti
     return _section(1, rows, 4)
 
 
-def _bar(work: BlockWork, longest: int, width: int, signs: Signs) -> list[Line]:
-    progress = work.progress
-    share = 1.0 if progress.wanted == 0 else min(1.0, progress.done / progress.wanted)
-    words = amount_words(work)
+def _works(picture: Picture, now_secs: float, width: int, signs: Signs) -> list[Line]:
+    """A bar for each block at work, learner by learner where there are several."""
+    works = picture.work(now_secs)
+    groups = by_learner(works)
+    longest = max((len(work.block) for work in works), default=0)
+    rows: list[Line] = []
+    for life, group in groups.items():
+        rows += [((life or "no learner yet", ""),)] if len(groups) > 1 else []
+        rows += [_bar(work, longest, width, signs) for work in group]
+    return rows
+
+
+def _bar(work: BlockWork, longest: int, width: int, signs: Signs) -> Line:
+    progress, words = work.progress, amount_words(work)
+    style = "yellow" if work.waits else ""
     size = min(LONGEST_BAR, width - longest - len(words) - 4)
-    name = f"{progress.block:<{longest}}  "
-    if size < 6:
-        return [((name, ""), (words, ""))]
-    full = round(size * share)
-    return [
-        ((name, ""), (signs.full * full, "green"), (signs.empty * (size - full), "dim"), (f"  {words}", ""))
-    ]
+    name = f"{work.block:<{longest}}  "
+    if size < LEAST_BAR or progress is None:
+        return (name, ""), (words, style)
+    full = round(size * (1.0 if progress.wanted == 0 else min(1.0, progress.done / progress.wanted)))
+    return (
+        (name, ""),
+        (signs.full * full, "green"),
+        (signs.empty * (size - full), "dim"),
+        (f"  {words}", style),
+    )
 
 
 def _errors(picture: Picture, width: int) -> Section:

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from services.launcher.learning import learning_words
-from services.launcher.members import BlockWork, Picture
+from services.launcher.members import BlockWork, Picture, by_learner
 from services.runtime.phases import phase_words
 
 Line = tuple[tuple[str, str], ...]
@@ -28,6 +28,9 @@ TABLE_WIDTH = 60
 LEFT_OUT = ("z_goal", "switch_success", "separation")
 """Where all would be wider than that: what success is not asked of, one after the other."""
 
+MOST_BLOCKS = 4
+"""Of one learner; where it has more, a line tells of them together."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Signs:
@@ -48,8 +51,8 @@ def progress_line(picture: Picture, now_secs: float) -> str:
         return "waiting for the router"
     if picture.announced is None:
         return "waiting for the coordinator"
-    parts = [f"{phase_words(picture.announced)}: {_work_words(work)}" for work in picture.work(now_secs)]
-    parts = parts or [": ".join([phase_words(picture.announced), *picture.waiting()[:1]])]
+    told = _works_words(picture.work(now_secs)) or picture.waiting()[:1]
+    parts = [": ".join([phase_words(picture.announced), *told[:1]]), *told[1:]]
     if rate := total_rate(picture, now_secs):
         parts.append(f"{rate:,.0f} steps/s")
     if learned := learning_words(picture):
@@ -110,17 +113,45 @@ def clock_words(secs: float) -> str:
     return f"{hours}:{minutes:02}:{seconds:02}" if hours else f"{minutes}:{seconds:02}"
 
 
-def _work_words(work: BlockWork) -> str:
-    return f"{work.progress.block} {amount_words(work)}"
+def _works_words(works: Sequence[BlockWork]) -> list[str]:
+    """What works, learner by learner where there are several; then who waits for one."""
+    groups = by_learner(work for work in works if not work.waits)
+    words = [
+        f"{life}: {_group_words(group)}" if len(groups) > 1 else _group_words(group)
+        for life, group in groups.items()
+    ]
+    waiting = [work.block for work in works if work.waits]
+    if waiting:
+        shown = [
+            *waiting[:MOST_BLOCKS],
+            *([f"{len(waiting) - MOST_BLOCKS} more"] * (len(waiting) > MOST_BLOCKS)),
+        ]
+        words.append(f"waiting for a learner: {', '.join(shown)}")
+    return words
+
+
+def _group_words(group: Sequence[BlockWork]) -> str:
+    """Each block of a learner, or where they are many what is done of all of them, and the slowest."""
+    if len(group) <= MOST_BLOCKS:
+        return ", ".join(f"{work.block} {amount_words(work)}" for work in group)
+    told = [work.progress for work in group if work.progress is not None]
+    done, wanted = sum(each.done for each in told), sum(each.wanted for each in told)
+    slowest = min(told, key=lambda each: each.done / max(1, each.wanted))
+    return (
+        f"{len(told)} blocks {done:,} of {wanted:,} {slowest.unit}, least of {slowest.block} "
+        f"{slowest.done:,} of {slowest.wanted:,}"
+    )
 
 
 def amount_words(work: BlockWork) -> str:
-    """How far a block is, and how long it still takes."""
+    """How far a block is, and how long it still takes, or that it waits."""
     progress = work.progress
-    words = f"{progress.done:,} of {progress.wanted:,} {progress.unit}"
-    if progress.finished or work.left_secs is None:
-        return words
-    return f"{words}, {clock_words(work.left_secs)} left"
+    words = [] if progress is None else [f"{progress.done:,} of {progress.wanted:,} {progress.unit}"]
+    if work.waits:
+        words.append("waiting for its learner")
+    elif work.left_secs is not None and progress is not None and not progress.finished:
+        words.append(f"{clock_words(work.left_secs)} left")
+    return ", ".join(words)
 
 
 def total_rate(picture: Picture, now_secs: float) -> float:

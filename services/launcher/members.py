@@ -1,7 +1,7 @@
 """What the launcher has heard of a run, for people to see (pure: messages and times are given)."""
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from protocol.latest import LatestPhase
@@ -27,6 +27,8 @@ MOST_EVENTS = 16
 """So many of the last events can be seen again."""
 SILENT_SECS = 10.0
 """Who has no token (the router, and what speaks late of itself) has gone after so long without a word."""
+UNHEARD_SECS = 2.0
+"""A block of which no learner has said anything so long after a phase began waits for one."""
 UNEASY_SECS = 5.0
 """A member that has said nothing for so long is worth a look."""
 
@@ -79,9 +81,15 @@ class Tally:
 class BlockWork:
     """How far a block is in the current phase."""
 
-    progress: Progress
+    block: str
+    progress: Progress | None
+    """None before the first word of it"""
     left_secs: float | None
     """None while there is too little to tell"""
+    learner: str
+    """the life that spoke of it last; empty before the first word"""
+    waits: bool
+    """it is not finished, and no learner is there that works on it"""
 
 
 class Picture:
@@ -107,6 +115,9 @@ class Picture:
         self.linked = True
         self._members: dict[str, Member] = {}
         self._latest = LatestPhase()
+        self._term_secs = float("-inf")
+        self._told: dict[str, tuple[int, str, Progress]] = {}
+        """By block: the newest term in which somebody worked on it, who last spoke of that, and what."""
         self._speeds: dict[str, Speed] = {}
         self._gone: dict[str, float] = {}
         """Tokens that went while it was open whether it was the link or the member."""
@@ -132,6 +143,7 @@ class Picture:
         before = self.announced
         if self._latest.admit(announced) and (before is None or announced.term > before.term):
             self._speeds.clear()
+            self._term_secs = now_secs
             self.tell(phase_words(announced), now_secs)
 
     def hear_status(self, status: Status, now_secs: float) -> None:
@@ -144,8 +156,10 @@ class Picture:
         member.cpu.hear(now_secs, round(1000 * status.metrics.get("cpu_secs", 0.0)))
         if "env_steps" in status.totals:
             member.speed.hear(now_secs, status.totals["env_steps"])
-        if self.announced is not None and status.term == self.announced.term:
-            for progress in status.progress:
+        for progress in status.progress:
+            if status.term >= self._told.get(progress.block, (0,))[0]:
+                self._told[progress.block] = status.term, status.life, progress
+            if self.announced is not None and status.term == self.announced.term:
                 self._speeds.setdefault(progress.block, Speed()).hear(now_secs, progress.done)
         if status.last_error:
             self.note_error(status.life, f"{status.life}: {status.last_error}", now_secs)
@@ -226,14 +240,18 @@ class Picture:
         return [m for _, m in sorted(self._members.items()) if service is None or m.service == service]
 
     def work(self, now_secs: float) -> list[BlockWork]:
-        """How far the blocks are in the current phase."""
+        """How far the blocks are in the current phase, those that wait for their learner first."""
         if self.announced is None:
             return []
-        found: dict[str, Progress] = {}
-        for member in self.members():
-            if member.status is not None and member.status.term == self.announced.term:
-                found |= {progress.block: progress for progress in member.status.progress}
-        return [self._work(progress, now_secs) for progress in found.values()]
+        term, blocks = self.announced.term, dict.fromkeys((*self.announced.blocks, *self._told))
+        told = {block: self._told[block][1:] for block in blocks if self._told.get(block, (0,))[0] == term}
+        late = now_secs >= self._term_secs + UNHEARD_SECS
+        unheard = [block for block in self.announced.blocks if late and block not in told]
+        works = [self._work(life, progress, now_secs) for life, progress in told.values()]
+        works += [
+            BlockWork(block=block, progress=None, left_secs=None, learner="", waits=True) for block in unheard
+        ]
+        return sorted(works, key=lambda work: not work.waits)
 
     def waiting(self) -> list[str]:
         """What is waited for, the coordinator's sentence first."""
@@ -277,7 +295,23 @@ class Picture:
         heard = (member.status for member in self.members() if member.service.endswith("_learner"))
         return [status for status in heard if status is not None]
 
-    def _work(self, progress: Progress, now_secs: float) -> BlockWork:
+    def _work(self, life: str, progress: Progress, now_secs: float) -> BlockWork:
         per_sec = self._speeds.setdefault(progress.block, Speed()).per_sec(now_secs)
         left = max(0, progress.wanted - progress.done)
-        return BlockWork(progress=progress, left_secs=left / per_sec if per_sec else None)
+        member = self._members.get(life)
+        there = member is not None and member.lost_secs is None
+        return BlockWork(
+            block=progress.block,
+            progress=progress,
+            left_secs=left / per_sec if per_sec else None,
+            learner=life,
+            waits=not (there or progress.finished),
+        )
+
+
+def by_learner(works: Iterable[BlockWork]) -> dict[str, list[BlockWork]]:
+    """The works by the life that spoke of them last, in the order in which they are given."""
+    groups: dict[str, list[BlockWork]] = {}
+    for work in works:
+        groups.setdefault(work.learner, []).append(work)
+    return groups

@@ -20,6 +20,7 @@ from services.runtime.bus import Bus, Wakeup
 from services.runtime.errors import StorageError, UserError
 from services.runtime.process import new_life
 from services.runtime.settings import RunSettings
+from services.runtime.sharing import name_of
 
 DASHBOARD = "dashboard"
 POLL_SECS = 0.1
@@ -230,8 +231,13 @@ def parts_of(
         )
 
     actors = [part(f"actor-{i}", "actor", *run_dir, "--index", str(i)) for i in range(settings.actors.count)]
-    services = [part(name, name, *run_dir) for name in ("coordinator", "encoder_learner", "policy_learner")]
+    counts = {"encoder_learner": settings.learners.encoder, "policy_learner": settings.learners.policy}
+    learners = [
+        part(name_of(kind, i), kind, *run_dir, "--index", str(i))
+        for kind, count in counts.items()
+        for i in range(count)
+    ]
     if dashboard is not None:
         ports = ("--web-port", str(dashboard.web), "--grpc-port", str(dashboard.grpc))
         actors.append(part(DASHBOARD, DASHBOARD, *run_dir, "--bind", HOST, *ports))
-    return [part("router", "router"), *services, *actors]
+    return [part("router", "router"), part("coordinator", "coordinator", *run_dir), *learners, *actors]

@@ -119,11 +119,12 @@ class Evaluation:
             for name in _DTYPES
             if all(name in legs for legs in taken)
         }
+        part = self._config.part
         found = score(
-            Legs(**joined),
-            diameter=self._config.diameter,
-            crossing_axis=self._config.crossing_axis,
-            landmarks=self._config.landmarks,
+            part.cut(Legs(**joined)),
+            diameter=part.diameter,
+            crossing_axis=part.crossing_axis,
+            landmarks=part.landmarks,
         )
         legs, columns = joined["goal"].shape
         return Score(

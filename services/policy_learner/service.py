@@ -3,45 +3,45 @@
 import torch
 
 from babble.bodies import make_body
-from babble.scores import landmarks_of
+from babble.parts import part_of_block
 from services.policy_learner.config import work_config
 from services.policy_learner.work import PolicyWork
 from services.runtime.interface import interface_of
 from services.runtime.learner import Learner
 from services.runtime.process import Context
 from services.runtime.settings import SettingsError
+from services.runtime.sharing import own_blocks
 
 SERVICE = "policy_learner"
 
 
 def build(context: Context) -> Learner:
-    """The policy learner of a run, resumed from its checkpoint if there is one.
+    """The policy learner of this index, for the blocks that are its own, resumed from its checkpoint.
 
-    Raises `SettingsError` for a world or blocks that cannot be, or a reward that there is not.
+    Raises `SettingsError` for a world, blocks or an index that cannot be, or a reward that there is not.
     """
     torch.set_num_threads(1)
     settings = context.settings
-    wanted = settings.world
+    blocks, wanted = own_blocks(settings, "policy", context.index), settings.world
     try:
         world, tree = make_body(wanted.id, wanted.parameters, settings.block, columns=1, seed=0)
     except ValueError as error:
         raise SettingsError(str(error)) from None
     settings.check_rewarded(world.rewarded)
-    works = [
-        PolicyWork(
-            work_config(
-                settings,
-                tree,
-                block.name,
-                index,
-                run=context.run,
-                posture_size=world.posture_size,
-                diameter=world.diameter,
-                crossing_axis=world.crossing_axis,
-                landmarks=landmarks_of(world, tree),
-            )
+    configs = [
+        work_config(
+            settings,
+            tree,
+            block,
+            place,
+            run=context.run,
+            posture_size=world.posture_size,
+            part=part_of_block(world, tree, block),
         )
-        for index, block in enumerate(settings.block)
+        for place, block in blocks
     ]
-    interface = interface_of(settings, senses=world.senses, action_size=world.action_size)
+    works = [PolicyWork(config) for config in configs]
+    interface = interface_of(
+        settings, senses=world.senses, action_size=world.action_size, blocks=tree.specs.values()
+    )
     return Learner(context, works, service=SERVICE, fingerprint=interface.fingerprint())

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from babble.policy.act import PolicyModel
 from babble.policy.export import export_policy
 from babble.policy.ppo import GoalPPO
 from protocol.messages import Phase, PhaseAnnounced, Progress, Score, Segment
@@ -38,6 +39,7 @@ class PolicyWork:
         self._version = 0
         self._updates_done = 0
         self._updates_total = 0
+        self._frozen: bytes | None = None
         self._offer: ModelOffer | None = None
         self._metrics: dict[str, float] = {}
 
@@ -114,7 +116,7 @@ class PolicyWork:
         return "sampled", self._version
 
     def progress(self) -> Progress | None:
-        """Steps trained on, or columns measured."""
+        """Environment steps trained on, or columns measured."""
         if self._phase is Phase.EVALUATE and self._evaluation is not None:
             return Progress(
                 block=self.block,
@@ -124,7 +126,7 @@ class PolicyWork:
             )
         if self._phase in PRACTISES:
             wanted = self._config.updates(self._phase)
-            steps = self._config.rollout_steps
+            steps = self._config.rollout_steps(self._phase)
             return Progress(
                 block=self.block, done=self._updates_done * steps, wanted=wanted * steps, unit="steps"
             )
@@ -151,6 +153,24 @@ class PolicyWork:
             f"{self.block}/too_old_columns": self._hand.too_old,
         }
 
+    def freeze(self, version: int, onnx: bytes) -> None:
+        """Offer this policy as `version` and learn no more. Raises ValueError for another block's."""
+        model = PolicyModel(onnx)
+        found, own = (
+            (model.latent_dim, model.action_size),
+            (self._config.latent_dim, self._config.action_size),
+        )
+        if found != own:
+            raise ValueError(
+                f"it sets {found[1]} numbers by a latent of {found[0]}, and the block's policy {own[1]} by "
+                f"one of {own[0]}"
+            )
+        self._phase = None
+        self._evaluation = None
+        self._hand.clear()
+        self._version, self._frozen = version, onnx
+        self._offer = self._as_offer()
+
     def state(self) -> bytes:
         """Weights, optimiser, columns in hand, random state and counts."""
         buffer = io.BytesIO()
@@ -169,6 +189,7 @@ class PolicyWork:
                 "too_old": self._hand.too_old,
                 "evaluation": None if self._evaluation is None else self._evaluation.state(),
                 "offered": self._offer is not None,
+                "frozen": self._frozen,
             },
             buffer,
         )
@@ -189,6 +210,7 @@ class PolicyWork:
         self._hand.too_old = saved["too_old"]
         if saved["evaluation"] is not None:
             self._evaluation = Evaluation.restored(self._config, saved["evaluation"])
+        self._frozen = saved["frozen"]
         if saved["offered"]:
             self._offer = self._as_offer()
 
@@ -218,8 +240,8 @@ class PolicyWork:
             kind="policy",
             version=self._version,
             encoder_version=self._encoder_version,
-            onnx=export_policy(self._ppo),
-            keep=self._done(),
+            onnx=export_policy(self._ppo, self.block) if self._frozen is None else self._frozen,
+            keep=self._done() or self._frozen is not None,
         )
 
 

@@ -12,9 +12,10 @@ from protocol.codec import decode, encode
 from protocol.gate import Gate
 from protocol.ledger import Ledger, Verdict
 from protocol.messages import Ack, Segment
-from protocol.refusal import Reason, Refused
+from protocol.refusal import Refused
 from services.runtime.allotment import Allotment
 from services.runtime.bus import Bus, Frame, Inbox, Membership, Wakeup
+from services.runtime.errors import SpoolError
 from services.runtime.spool import Spool
 
 Want = Literal["random", "sampled", "mean"]
@@ -26,7 +27,7 @@ ACK_REPEAT_SECS = 0.5
 
 
 class Intake:
-    """Hears the segments meant for one consumer, and says to each sender what is held and wanted."""
+    """Hears a consumer's segments of some blocks, and says to each sender what is held and wanted."""
 
     def __init__(
         self,
@@ -43,7 +44,6 @@ class Intake:
         self._bus = bus
         self._gate = gate
         self._consumer = consumer
-        self._blocks = frozenset(blocks)
         self._run = run
         self._life = life
         self._spool = spool
@@ -55,7 +55,8 @@ class Intake:
         self.ledger = Ledger()
         self.present: set[str] = set()
         """Lives of the actors that are there."""
-        bus.subscribe("segment", keys.segment(run, consumer, "*", "*"), self._inbox)
+        for block in blocks:
+            bus.subscribe("segment", keys.segment(run, consumer, block, "*"), self._inbox)
         bus.watch(keys.alive(run, "actor", "*"), self._members)
 
     @property
@@ -92,9 +93,18 @@ class Intake:
                 self.ledger.forget(life)
 
     def replay(self, generation: int) -> Iterator[Segment]:
-        """The segments taken since the restored checkpoint of this generation, in their old order."""
+        """The segments taken since the restored checkpoint of this generation, in their old order.
+
+        Raises `SpoolError` for frames that this version of Babble cannot read.
+        """
         for frame in self._spool.replay(generation):
-            segment = decode(frame)
+            try:
+                segment = decode(frame)
+            except Refused as refused:
+                raise SpoolError(
+                    f"what was acknowledged before the restart cannot be read any more: {refused}; "
+                    "go on with the version of Babble that began the run, or start a new run"
+                ) from None
             if not isinstance(segment, Segment):
                 continue
             if self.ledger.judge(segment.life, segment.block, segment.seq) is Verdict.NEW:
@@ -137,10 +147,6 @@ class Intake:
     def _judge(self, key: str, data: bytes) -> Segment | None:
         segment = self._gate.admit(key, data)
         if not isinstance(segment, Segment):
-            return None
-        if segment.block not in self._blocks:
-            sentence = f"{segment.life} sent a segment of block {segment.block!r}, which is not learned here"
-            self._gate.refuse(Refused(Reason.UNEXPECTED, sentence))
             return None
         verdict = self.ledger.judge(segment.life, segment.block, segment.seq)
         if verdict is not Verdict.NEW:

@@ -21,12 +21,14 @@ from services.runtime.allotment import Allotment
 from services.runtime.bus import Frame, Inbox
 from services.runtime.checkpoint import Checkpoints
 from services.runtime.errors import CheckpointError
+from services.runtime.freezing import freeze
 from services.runtime.intake import Intake
 from services.runtime.process import Context
 from services.runtime.settings import RunSettings
+from services.runtime.sharing import name_of
 from services.runtime.spool import Spool
 from services.runtime.status import Heart
-from services.runtime.work import Work
+from services.runtime.work import Work, version_of
 
 log = logging.getLogger(__name__)
 
@@ -38,13 +40,16 @@ LONGEST_SPOOL_BYTES = 256 << 20
 
 
 class Learner:
-    """A learner service around the works of its blocks; see `poll`."""
+    """A learner service around the works of its blocks, perhaps of none; see `poll`.
+
+    Works whose blocks a term does not name rest: they offer their models, and nothing else is asked of them.
+    """
 
     def __init__(self, context: Context, works: Sequence[Work], *, service: str, fingerprint: str) -> None:
         self._context = context
         self._works = {work.block: work for work in works}
         self._fingerprint = fingerprint
-        self._folder = context.run_dir / "checkpoints" / service
+        self._folder = context.run_dir / "checkpoints" / name_of(service, context.index)
         settings = context.settings
         self._allotments = {block: _allotment(settings) for block in self._works}
         self._control = Inbox(context.wakeup, max_frames=keys.DELIVERY["phase"].keep)
@@ -126,17 +131,22 @@ class Learner:
         if self._announced is not None and announced.term <= self._announced.term:
             return
         self._catch_up(announced)
+        freeze(self._works, announced.frozen, self._context.run_dir)
         log.info("term %d: %s", announced.term, announced.phase)
         self._announced = announced
         self._finished.clear()
         for allotment in self._allotments.values():
             allotment.new_term()
-        for block, work in self._works.items():
-            if block in announced.blocks:
-                work.begin(announced)
+        for work in self._at_work().values():
+            work.begin(announced)
         self._publish_models()
         self._checkpoint(self._context.clock.now_secs())
         self._urgent = True
+
+    def _at_work(self) -> dict[str, Work]:
+        """The works of the blocks that the current term is about."""
+        blocks = () if self._announced is None else self._announced.blocks
+        return {block: work for block, work in self._works.items() if block in blocks}
 
     def _catch_up(self, announced: PhaseAnnounced) -> None:
         """Finish what an older checkpoint left undone; raises `CheckpointError` if that is not enough.
@@ -148,12 +158,12 @@ class Learner:
             if work is None:
                 continue
             needed = getattr(floor, work.kind)
-            while _version(work) < needed and work.advance():
+            while version_of(work) < needed and work.advance():
                 pass
-            if _version(work) < needed:
+            if version_of(work) < needed:
                 raise CheckpointError(
                     f"the run needs {work.kind} {needed} of {block}, and the checkpoints in {self._folder} "
-                    f"lead only to {_version(work)}; restore them from a backup or start a new run"
+                    f"lead only to {version_of(work)}; restore them from a backup or start a new run"
                 )
 
     def _collect(self, now_secs: float) -> None:
@@ -167,7 +177,7 @@ class Learner:
         self._note_members(now_secs)
 
     def _use(self, segment: Segment) -> None:
-        work = self._works.get(segment.block)
+        work = self._at_work().get(segment.block)
         current = self._announced is not None and segment.term == self._announced.term
         try:
             used = work is not None and current and work.take(segment)
@@ -188,7 +198,7 @@ class Learner:
 
     def _advance(self, now_secs: float) -> bool:
         busy = False
-        for block, work in self._works.items():
+        for block, work in self._at_work().items():
             if block in self._finished or work.progress() is None:
                 continue
             busy = work.advance() or busy
@@ -221,9 +231,10 @@ class Learner:
 
     def _answer(self, now_secs: float) -> None:
         term = 0 if self._announced is None else self._announced.term
+        at_work = self._at_work()
         for block, work in self._works.items():
             want, policy_floor = work.request()
-            self._allotments[block].want(work.wanted_columns())
+            self._allotments[block].want(work.wanted_columns() if block in at_work else 0)
             self._intake.answer(
                 block,
                 self._allotments[block],
@@ -269,7 +280,7 @@ class Learner:
             replayed += 1
             self._received += 1
             self._use(segment)
-            for work in self._works.values():
+            for work in self._at_work().values():
                 while work.advance():
                     pass
         log.info("resumed checkpoint %d and %d segments from the spool", self._generation, replayed)
@@ -287,9 +298,9 @@ class Learner:
                 work.restore(payload[f"work/{block}"])
 
     def _report(self) -> dict[str, Any]:
-        works = self._works.values()
+        works, at_work = self._works.values(), self._at_work().values()
         announced = self._announced
-        progress = [p for p in (work.progress() for work in works) if p is not None]
+        progress = [p for p in (work.progress() for work in at_work) if p is not None]
         totals = {name: count for work in works for name, count in work.totals().items()}
         totals |= {"segments": self._received, "stale": self._stale, "inbox_dropped": self._intake.dropped}
         ledger = self._intake.ledger
@@ -303,8 +314,8 @@ class Learner:
             },
             "totals": totals,
             "progress": [p.model_copy(update={"finished": p.block in self._finished}) for p in progress],
-            "scores": [score for work in works for score in work.scores()],
-            "metrics": {name: value for work in works for name, value in work.metrics().items()},
+            "scores": [score for work in at_work for score in work.scores()],
+            "metrics": {name: value for work in at_work for name, value in work.metrics().items()},
             "queue_depth": self._intake.queue_depth,
             "lost": ledger.lost,
             "duplicated": ledger.duplicated,
@@ -333,11 +344,6 @@ class Learner:
         overdue = self._allotments[first.block].overdue(self._context.clock.now_secs())
         late = f"; overdue: {', '.join(overdue)}" if overdue else ""
         return f"experience of {first.block}: {amount}; actors here: {len(self._known)}{late}"
-
-
-def _version(work: Work) -> int:
-    offer = work.model()
-    return 0 if offer is None else offer.version
 
 
 def _allotment(settings: RunSettings) -> Allotment:

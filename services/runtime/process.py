@@ -72,7 +72,7 @@ class Context:
     life: str
     wakeup: Wakeup
     index: int = 0
-    """Which actor of the run this is; 0 for the services of which there is one."""
+    """Which actor of the run, or learner of its kind, this is; 0 for services of which there is one."""
     options: argparse.Namespace = field(default_factory=argparse.Namespace)
     """The whole command line, for services with options of their own."""
 

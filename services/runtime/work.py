@@ -48,8 +48,20 @@ class Work(Protocol):
     def totals(self) -> Mapping[str, int]:
         """Totals since the run began, by name."""
 
+    def freeze(self, version: int, onnx: bytes) -> None:
+        """Learn no more: offer this model under this version from now on, also after a restart.
+
+        Raises ValueError for bytes that are not a model of this block.
+        """
+
     def state(self) -> bytes:
         """Everything that a restart needs."""
 
     def restore(self, state: bytes) -> None:
         """Become what `state()` described."""
+
+
+def version_of(work: Work) -> int:
+    """The newest version that it offers; 0 before the first."""
+    offer = work.model()
+    return 0 if offer is None else offer.version

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from protocol.messages import ALL_BLOCKS, Phase, PhaseAnnounced, Progress, Status
+from protocol.messages import ALL_BLOCKS, ModelFloor, Phase, PhaseAnnounced, Progress, Status
 from services.launcher.lines import Line
 from services.launcher.members import Picture
 from services.runtime.settings import GoalSettings
@@ -71,6 +71,23 @@ def practising(actors: int = 3) -> Picture:
         )
         seen.hear_status(said, now)
     seen.scores = [row(i, policy) for i in range(9) for policy in ("mean", "sampled")]
+    return seen
+
+
+def sharing(blocks: int = 1, lost: bool = False) -> Picture:
+    """Two learners in GROUND with so many blocks each, half of their steps done; the second may be lost."""
+    seen = Picture(RUN, f"runs/{RUN}", 0.0)
+    common = {"run": RUN, "block": ALL_BLOCKS, "seq": 0, "term": 3}
+    names = {f"policy_learner-{who}": [f"{who}{i}" for i in range(blocks)] for who in ("arm", "leg")}
+    at_work = {block: ModelFloor() for listed in names.values() for block in listed}
+    seen.hear_phase(PhaseAnnounced(**common, life="c-1", phase=Phase.GROUND, blocks=at_work), 0.0)
+    for life, listed in names.items():
+        seen.appeared("policy_learner", life, 0.0)
+        progress = [Progress(block=block, done=50, wanted=100, unit="steps") for block in listed]
+        seen.hear_status(Status(**common, life=life, service="policy_learner", progress=progress), 0.5)
+    if lost:
+        seen.vanished("policy_learner-leg", 1.0)
+        seen.settle(2.0)
     return seen
 
 

@@ -8,6 +8,8 @@ from typing import Any
 import pytest
 import yaml
 
+from services.runtime.sharing import VARIABLE as LEARNER_INDEX
+
 ROOT = Path(__file__).resolve().parents[2]
 DEPLOY = ROOT / "deploy"
 FILES = {name: DEPLOY / f"compose{name}.yaml" for name in ("", ".hosts", ".actors")}
@@ -70,6 +72,17 @@ def test_over_several_hosts_everybody_has_a_credential_of_its_own_and_nobody_tal
     assert all(service["environment"]["BABBLE_CONNECT"].startswith("tls/") for service in others.values())
     sources = {name: service["secrets"][0]["source"] for name, service in others.items()}
     assert sources == {**{name: name for name in others}, "report": "launcher", "babble": "launcher"}
+
+
+def test_the_second_learners_differ_from_the_first_in_their_index_alone() -> None:
+    added = services(DEPLOY / "compose.learners.yaml")
+    for kind in ("encoder_learner", "policy_learner"):
+        assert added.pop(f"{kind}_1") == {
+            "extends": {"file": ONE_HOST.name, "service": kind},
+            "environment": {LEARNER_INDEX: "1"},
+        }
+        assert LEARNER_INDEX not in services(ONE_HOST)[kind]["environment"], "the first has index 0"
+    assert not added
 
 
 def test_no_file_holds_a_secret() -> None:

@@ -129,13 +129,20 @@ def test_grants_follow_the_demand(stage: Stage) -> None:
     [
         ({"run": "other"}, "foreign-run"),
         ({"fingerprint": "f" * 16}, "wrong-fingerprint"),
-        ({"block": "ghost"}, "unexpected"),
     ],
 )
 def test_a_stranger_is_refused_and_counted(stage: Stage, changes: dict[str, str], reason: str) -> None:
     stage.send(0, **changes)
     assert stage.intake.collect() == []
     assert stage.gate.refused == {reason: 1}
+
+
+def test_segments_of_another_learners_blocks_are_neither_taken_nor_refused(stage: Stage) -> None:
+    stage.send(0, block="another")
+    stage.send(0)
+    assert [segment.block for segment in stage.intake.collect()] == ["body"]
+    assert stage.gate.refused == {}
+    assert stage.intake.dropped == 0
 
 
 def test_a_learner_that_was_killed_finds_what_it_took(stage: Stage, tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from protocol.messages import ALL_BLOCKS, Status
 from services.launcher.frame import facts, frame
 from services.launcher.lines import ASCII, progress_line
 from services.launcher.members import Picture
-from tests.unit.launcher_picture import RUN, practising, texts
+from tests.unit.launcher_picture import RUN, practising, sharing, texts
 
 
 @pytest.mark.parametrize("width", [20, 40, 60, 120])
@@ -46,6 +46,24 @@ def test_before_the_first_word_it_says_that_it_starts() -> None:
     seen = Picture(RUN, "runs/x", 0.0)
     assert "starting the processes" in "\n".join(texts(frame(seen, 1.0, 60)))
     assert progress_line(seen, 1.0) == "waiting for the coordinator"
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_several_learners_are_told_apart_with_the_progress_of_each_block(lost: bool) -> None:
+    seen = sharing(lost=lost)
+    for shown in (texts(frame(seen, 2.5, 100)), texts(facts(seen, 2.5, 100))):
+        heads = [shown.index(f"policy_learner-{who}") for who in ("arm", "leg")]
+        arm, leg = (shown[head + 1] for head in heads)
+        assert arm.startswith("arm0")
+        assert arm.endswith("50 of 100 steps")
+        assert leg.startswith("leg0")
+        assert leg.endswith("50 of 100 steps, waiting for its learner" if lost else "50 of 100 steps")
+        assert (heads[1] < heads[0]) == lost, "what waits comes first"
+
+
+def test_one_learner_needs_no_name_over_its_blocks() -> None:
+    shown = texts(frame(practising(), 2.0, 100))
+    assert "policy_learner-0a1b2c3d" not in shown
 
 
 def row_of(life: str, shown: list[str]) -> list[str]:

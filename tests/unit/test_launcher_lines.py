@@ -6,7 +6,7 @@ import pytest
 
 from services.launcher.display import LiveDisplay, PlainDisplay, display_for
 from services.launcher.lines import brief, clock_words, cpu_table, progress_line, score_table
-from tests.unit.launcher_picture import practising, row
+from tests.unit.launcher_picture import practising, row, sharing
 
 
 def test_the_score_table_fits_60_and_names_blocks_only_if_there_are_several() -> None:
@@ -62,6 +62,22 @@ def test_plain_lines_come_on_changes_and_every_ten_seconds() -> None:
     assert "iteration 0, mean policy: separation 0.988" in lines[1]
     assert "PRACTISE 2 of 4: body 1,228,800 of 12,288,000 steps" in lines[2]
     assert lines[2].endswith("InfoNCE 2.35, reward -0.25")
+
+
+def test_a_plain_line_tells_several_learners_apart_and_who_waits_for_one() -> None:
+    assert progress_line(sharing(), 1.0) == (
+        "GROUND: policy_learner-arm: arm0 50 of 100 steps; policy_learner-leg: leg0 50 of 100 steps"
+    )
+    assert progress_line(sharing(lost=True), 2.5) == (
+        "GROUND: arm0 50 of 100 steps; waiting for a learner: leg0"
+    )
+
+
+def test_of_many_blocks_a_plain_line_tells_together() -> None:
+    assert progress_line(sharing(blocks=9, lost=True), 2.5) == (
+        "GROUND: 9 blocks 450 of 900 steps, least of arm0 50 of 100; "
+        "waiting for a learner: leg0, leg1, leg2, leg3, 5 more"
+    )
 
 
 def test_of_a_long_run_a_plain_line_comes_each_minute() -> None:

@@ -107,12 +107,62 @@ def test_remaining_time_is_of_the_current_term_only() -> None:
         progress = [Progress(block="body", done=done, wanted=1000, unit="steps")]
         seen.hear_status(status("policy_learner-1", progress=progress), second)
     (work,) = seen.work(2.0)
+    assert work.progress is not None
     assert (work.progress.done, work.left_secs) == (200, 8.0)
     seen.hear_phase(announced(2, Phase.WALK), 0.0)
     assert seen.work(2.0) == []
     stale = [Progress(block="body", done=900, wanted=1000, unit="steps")]
     seen.hear_status(status("policy_learner-1", term=1, progress=stale), 3.0)
     assert seen.work(3.0) == []
+
+
+def sharing() -> Picture:
+    """Two learners in GROUND, each with a block half done."""
+    seen = picture()
+    seen.hear_phase(announced(1, Phase.GROUND, blocks={"arm": {}, "leg": {}}), 0.0)
+    for life, block in (("policy_learner-1", "arm"), ("policy_learner-2", "leg")):
+        seen.appeared("policy_learner", life, 0.0)
+        progress = [Progress(block=block, done=50, wanted=100, unit="steps")]
+        seen.hear_status(status(life, progress=progress), 0.5)
+    return seen
+
+
+def waiting_blocks(seen: Picture, now_secs: float) -> list[str]:
+    return [work.block for work in seen.work(now_secs) if work.waits]
+
+
+def test_the_blocks_of_a_lost_learner_wait_until_it_or_another_speaks_of_them() -> None:
+    seen = sharing()
+    assert waiting_blocks(seen, 3.0) == []
+    seen.vanished("policy_learner-2", 4.0)
+    for now_secs in (5.0, 30.0, 60.0):
+        seen.settle(now_secs)
+        assert waiting_blocks(seen, now_secs) == ["leg"], "also when it is shown among the members no more"
+    first = seen.work(60.0)[0]
+    assert (first.block, first.progress and first.progress.done) == ("leg", 50)
+    seen.appeared("policy_learner", "policy_learner-3", 61.0)
+    progress = [Progress(block="leg", done=20, wanted=100, unit="steps")]
+    seen.hear_status(status("policy_learner-3", progress=progress), 61.0)
+    assert waiting_blocks(seen, 62.0) == []
+
+
+def test_a_block_that_is_finished_waits_for_nobody() -> None:
+    seen = sharing()
+    progress = [Progress(block="leg", done=100, wanted=100, unit="steps", finished=True)]
+    seen.hear_status(status("policy_learner-2", progress=progress), 1.0)
+    seen.vanished("policy_learner-2", 4.0)
+    seen.settle(5.0)
+    assert waiting_blocks(seen, 5.0) == []
+
+
+def test_a_block_of_which_nobody_speaks_in_a_phase_waits_after_a_moment() -> None:
+    seen = sharing()
+    seen.hear_phase(announced(2, Phase.WALK, blocks={"arm": {}, "leg": {}}), 10.0)
+    assert seen.work(10.5) == []
+    progress = [Progress(block="arm", done=1, wanted=100, unit="steps")]
+    seen.hear_status(status("encoder_learner-1", term=2, progress=progress), 11.0)
+    assert waiting_blocks(seen, 11.5) == []
+    assert waiting_blocks(seen, 13.0) == ["leg"]
 
 
 def test_the_coordinators_sentence_comes_first_and_none_twice() -> None:

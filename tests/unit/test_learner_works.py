@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from babble.blocks import BlockTree
 from babble.observations import Layout, Senses
+from babble.parts import Part
 from babble.policy.act import EncoderModel, PolicyModel
 from protocol.messages import ModelFloor, Phase, PhaseAnnounced, Segment
 from services.encoder_learner import config as encoder_config
@@ -15,6 +15,7 @@ from services.policy_learner import config as policy_config
 from services.policy_learner.work import PolicyWork
 from services.runtime.clock import Clock, HandClock
 from services.runtime.settings import RunSettings, SettingsError, parse
+from tests.unit.trees import tree_on
 
 POSITION: Senses = {"position": (3,)}
 TABLE: dict[str, Any] = {
@@ -67,16 +68,16 @@ def segment(phase: Phase, seq: int, rng: np.random.Generator, **header: Any) -> 
 def new_encoder_work(
     settings: RunSettings, senses: Senses = POSITION, clock: Clock | None = None
 ) -> EncoderWork:
-    tree = BlockTree.of(settings.block, Layout(senses).size, 3)
+    tree = tree_on(settings, Layout(senses).size, 3)
     config = encoder_config.work_config(settings, tree, senses, "body", 0)
     return EncoderWork(config, clock or HandClock())
 
 
 def new_policy_work(settings: RunSettings) -> PolicyWork:
-    tree = BlockTree.of(settings.block, 3, 3)
+    tree = tree_on(settings, 3, 3)
     return PolicyWork(
         policy_config.work_config(
-            settings, tree, "body", 0, run="r", posture_size=3, diameter=2.0, crossing_axis=None
+            settings, tree, "body", 0, run="r", posture_size=3, part=Part(np.arange(3), 2.0, None, ())
         )
     )
 
@@ -282,7 +283,7 @@ def test_each_block_learns_from_the_senses_that_it_observes() -> None:
         {"name": "both", "children": ["arm", "leg"]},
     ]
     settings = settings_of(block=blocks)
-    tree = BlockTree.of(settings.block, 194, 2)
+    tree = tree_on(settings, 194, 2)
     senses = [
         encoder_config.work_config(settings, tree, EYES, name, index).senses
         for index, name in enumerate(("arm", "leg", "both"))
@@ -292,7 +293,7 @@ def test_each_block_learns_from_the_senses_that_it_observes() -> None:
 
 def test_a_block_that_observes_part_of_an_image_is_refused_by_name() -> None:
     settings = settings_of(block=[{"observes": [0, 1, 2, 3]}])
-    tree = BlockTree.of(settings.block, 194, 3)
+    tree = tree_on(settings, 194, 3)
     with pytest.raises(SettingsError, match="block 'body': a block observes images whole"):
         encoder_config.work_config(settings, tree, EYES, "body", 0)
 
@@ -303,7 +304,7 @@ def test_experience_that_memory_cannot_hold_is_refused_at_the_start(
 ) -> None:
     settings = settings_of(phases=TABLE["phases"] | {"walk_steps": steps})
     senses = {"eyes": (2, side, side, 3)}
-    tree = BlockTree.of(settings.block, Layout(senses).size, 3)
+    tree = tree_on(settings, Layout(senses).size, 3)
     configs = [encoder_config.work_config(settings, tree, senses, "body", 0)]
     if refused:
         with pytest.raises(SettingsError, match=r"need 9.8 GB .* block 'body'.* limit of 8 GB; lower phases"):
@@ -315,7 +316,7 @@ def test_experience_that_memory_cannot_hold_is_refused_at_the_start(
 @pytest.mark.parametrize(("hidden", "refused"), [(4000, False), (4200, True)])
 def test_an_encoder_that_no_frame_holds_is_refused_at_the_start(hidden: int, refused: bool) -> None:
     settings = settings_of(encoder=TABLE["encoder"] | {"hidden": [hidden, hidden]})
-    tree = BlockTree.of(settings.block, 3, 3)
+    tree = tree_on(settings, 3, 3)
     configs = [encoder_config.work_config(settings, tree, POSITION, "body", 0)]
     if refused:
         with pytest.raises(SettingsError, match=r"block body would have 70.7 MB, .* lower encoder\.hidden"):

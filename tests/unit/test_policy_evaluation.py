@@ -5,12 +5,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from babble.blocks import BlockTree
 from babble.landmarks import Landmark
+from babble.parts import Part
 from protocol.messages import Phase, Segment
 from services.policy_learner.config import PolicyWorkConfig, work_config
 from services.policy_learner.evaluation import Evaluation
 from services.runtime.settings import parse
+from tests.unit.trees import tree_on
 
 COLUMNS, LEGS = 4, 3
 
@@ -20,7 +21,7 @@ def config() -> PolicyWorkConfig:
     settings = parse(
         {"scenario": "x", "evaluation": {"columns": COLUMNS, "legs": LEGS, "leg_steps": 5}}, origin="x"
     )
-    tree = BlockTree.of(settings.block, 1, 1)
+    tree = tree_on(settings, 1, 1)
     landmarks = (Landmark("shut", ((0,),), 0.8, 1.0), Landmark("open", ((0,),), -1.0, -0.8))
     return work_config(
         settings,
@@ -29,9 +30,7 @@ def config() -> PolicyWorkConfig:
         0,
         run="r",
         posture_size=1,
-        diameter=2.0,
-        crossing_axis=None,
-        landmarks=landmarks,
+        part=Part(np.arange(1), 2.0, None, landmarks),
     )
 
 
