@@ -10,7 +10,7 @@ from pathlib import Path
 
 os.environ["OMP_NUM_THREADS"] = "1"
 
-from bench import actor, dashboard, end_to_end, footprint, physics, touch, vision
+from bench import actor, dashboard, end_to_end, footprint, physics, touch, tree, vision
 from bench.bytecode import compiled
 from bench.tables import Table
 
@@ -39,6 +39,10 @@ BENCHMARKS: Mapping[str, tuple[Measure, Measure]] = {
     "touch": (
         touch.measure,
         lambda mimo: touch.measure(mimo, steps=80, repetitions=1, collapsed=False),
+    ),
+    "tree": (
+        lambda _: tree.measure(),
+        lambda _: tree.measure(steps=2048, repetitions=2),
     ),
     "vision": (
         lambda _: vision.measure(),

@@ -28,19 +28,20 @@ def measure(*, steps: int = 40_960, repetitions: int = 7, process_secs: float = 
     tables = []
     for columns in COLUMNS:
         settings = cuboid(actors={"envs_per_actor": columns})
-        with _one_core(usable):
+        with one_core(usable):
             contenders = contenders_of(settings)
-            tooks = _interleaved(contenders, steps, repetitions)
+            tooks = interleaved(contenders, steps, repetitions)
         wire = over_zenoh(settings, usable, process_secs)
         tables.append(_speeds(settings, tooks, wire))
-    with _one_core(usable):
+    with one_core(usable):
         tables.append(shares_of(contenders_of(cuboid())[ACTOR], steps))
         tables.append(_showing(steps, repetitions))
     return tables
 
 
 @contextmanager
-def _one_core(usable: Sequence[int]) -> Iterator[None]:
+def one_core(usable: Sequence[int]) -> Iterator[None]:
+    """On the first of the usable cores."""
     os.sched_setaffinity(0, usable[:1])
     try:
         yield
@@ -48,7 +49,7 @@ def _one_core(usable: Sequence[int]) -> Iterator[None]:
         os.sched_setaffinity(0, usable)
 
 
-def _interleaved(contenders: dict[str, Contender], steps: int, repetitions: int) -> dict[str, list[Took]]:
+def interleaved(contenders: dict[str, Contender], steps: int, repetitions: int) -> dict[str, list[Took]]:
     """Each contender in turn, again and again, so that a slow moment of the machine hits all of them."""
     for contender in contenders.values():
         contender(steps // 8)
@@ -90,7 +91,7 @@ def _showing(steps: int, repetitions: int) -> Table:
             "shown": InProcess(settings),
             "unseen": InProcess(settings.model_copy(update={"view": UNSEEN})),
         }
-        tooks = _interleaved(contenders, steps, repetitions)
+        tooks = interleaved(contenders, steps, repetitions)
         speeds = {name: [took.steps / took.cpu_secs for took in taken] for name, taken in tooks.items()}
         ratios = [a / b for a, b in zip(speeds["shown"], speeds["unseen"], strict=True)]
         found = [count(median(speeds[name])) for name in contenders]

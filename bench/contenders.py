@@ -39,7 +39,8 @@ Contender = Callable[[int], Took]
 class InProcess:
     """The actor service on the memory bus: all that the process does but Zenoh. Only its polls are timed."""
 
-    def __init__(self, settings: RunSettings) -> None:
+    def __init__(self, settings: RunSettings, level: int = 0) -> None:
+        """`level` is the one whose blocks are at work."""
         hub, wakeup = MemoryBus(), Wakeup()
         context = Context(
             bus=hub.connect("actor-bench", wakeup),
@@ -51,7 +52,7 @@ class InProcess:
             wakeup=wakeup,
         )
         self._clock = context.clock
-        self._stand_in = StandIn(hub.connect(LIFE), settings, wakeup)
+        self._stand_in = StandIn(hub.connect(LIFE), settings, wakeup, level)
         self.actor = Actor(context)
         context.bus.announce(keys.alive(RUN, "actor", context.life))
 

@@ -1,14 +1,17 @@
 """What is benchmarked: the cuboid as shipped or another world, with models as learners publish them."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import tomli_w
 
+from babble.blocks import BlockTree
+from babble.bodies import make_body
 from babble.encoder.export import export_encoder
 from babble.encoder.network import Encoder
+from babble.observations import part_of
 from babble.policy.export import export_policy
 from babble.policy.ppo import GoalPPO
 from babble.worlds import make
@@ -42,28 +45,36 @@ def world_of(settings: RunSettings, columns: int) -> World:
     return make(settings.world.id, settings.world.parameters, columns=columns, seed=0)
 
 
-def encoder_of(settings: RunSettings) -> Encoder:
-    """An untrained encoder of the run's sizes; what it computes does not change what it costs."""
-    senses = world_of(settings, 1).senses
-    return Encoder(senses, settings.block[0].latent_dim, hidden=settings.encoder.hidden, seed=settings.seed)
+def body_of(settings: RunSettings) -> tuple[World, BlockTree]:
+    """One copy of the run's world, and the blocks on it."""
+    return make_body(settings.world.id, settings.world.parameters, settings.block, columns=1, seed=0)
 
 
-def offers_of(settings: RunSettings) -> Sequence[ModelOffer]:
-    """Version 1 of the encoder and of the policy."""
+def encoder_of(settings: RunSettings, block: str | None = None) -> Encoder:
+    """An untrained encoder of a block's sizes; what it computes does not change what it costs."""
+    world, tree = body_of(settings)
+    spec = tree.specs[block or settings.block[0].name]
+    senses = {"latent": (tree.observation_size_of(spec.name),)} if spec.children else world.senses
+    observed = senses if spec.children else part_of(senses, tree.observed(spec.name))
+    return Encoder(observed, spec.latent_dim, hidden=settings.encoder.hidden, seed=settings.seed)
+
+
+def offers_of(settings: RunSettings) -> Mapping[str, Sequence[ModelOffer]]:
+    """By block, version 1 of the encoder and of the policy."""
+    _, tree = body_of(settings)
+    return {block: _offers(settings, tree, block) for block in tree.specs}
+
+
+def _offers(settings: RunSettings, tree: BlockTree, block: str) -> Sequence[ModelOffer]:
     ppo = GoalPPO(
-        settings.block[0].latent_dim,
-        world_of(settings, 1).action_size,
+        tree.specs[block].latent_dim,
+        tree.action_size_of(block),
         hidden=tuple(settings.policy.hidden),
         log_std=settings.policy.log_std,
         seed=settings.seed,
     )
+    encoder = export_encoder(encoder_of(settings, block), block)
     return [
-        ModelOffer(
-            kind="encoder",
-            version=1,
-            encoder_version=1,
-            onnx=export_encoder(encoder_of(settings)),
-            keep=False,
-        ),
-        ModelOffer(kind="policy", version=1, encoder_version=1, onnx=export_policy(ppo), keep=False),
+        ModelOffer(kind="encoder", version=1, encoder_version=1, onnx=encoder, keep=False),
+        ModelOffer(kind="policy", version=1, encoder_version=1, onnx=export_policy(ppo, block), keep=False),
     ]

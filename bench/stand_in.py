@@ -2,10 +2,10 @@
 
 import time
 
-from bench.scene import RUN, offers_of, world_of
+from bench.scene import RUN, body_of, offers_of
 from protocol import keys
 from protocol.codec import decode, encode
-from protocol.messages import Ack, Model, ModelFloor, Phase, PhaseAnnounced, Segment, Status
+from protocol.messages import Ack, Frozen, Model, ModelFloor, Phase, PhaseAnnounced, Segment, Status
 from services.runtime.bus import Bus, Frame, Inbox, Membership, Wakeup
 from services.runtime.interface import interface_of
 from services.runtime.settings import RunSettings
@@ -15,17 +15,19 @@ LIFE = "stand-in"
 
 
 class StandIn:
-    """Announces GROUND, publishes both models, and acknowledges each segment with the next grant."""
+    """Announces GROUND, publishes all models, and acknowledges each segment with the next grant."""
 
-    def __init__(self, bus: Bus, settings: RunSettings, wakeup: Wakeup) -> None:
+    def __init__(self, bus: Bus, settings: RunSettings, wakeup: Wakeup, level: int = 0) -> None:
+        """`level` is the one whose blocks are at work, with those below them as their limbs."""
         self.first_segment_secs: float | None = None
         """`time.monotonic()` at the arrival of the first segment."""
         self.steps = 0
-        """Environment steps received, summed over the columns."""
+        """Environment steps received, summed over the columns; all blocks of the level share them."""
         self.statuses: list[tuple[float, Status]] = []
         """What the actor said of itself, with `time.monotonic()` at its arrival."""
         self._bus = bus
-        self._block = settings.block[0].name
+        self._blocks = settings.levels[level]
+        self._row_env_steps = settings.rows_env_steps(self._blocks[0], Phase.GROUND)
         self._window = settings.actors.window
         self._inbox = Inbox(wakeup)
         self._answers = 0
@@ -41,7 +43,13 @@ class StandIn:
             life=LIFE,
             seq=0,
             phase=Phase.GROUND,
-            blocks={self._block: ModelFloor(encoder=1, policy=1)},
+            level=level,
+            blocks={block: ModelFloor(encoder=1, policy=1) for block in self._blocks},
+            frozen={
+                block: Frozen(encoder=1, policy=1, of_encoder=1, of_policy=1)
+                for below in settings.levels[:level]
+                for block in below
+            },
         )
         bus.publish("phase", keys.of(announced), encode(announced))
 
@@ -50,7 +58,8 @@ class StandIn:
         for arrival in self._inbox.take_all():
             match arrival:
                 case Membership(key=key, present=True):
-                    self._answer(keys.member(key)[1], 0)
+                    for block in self._blocks:
+                        self._answer(keys.member(key)[1], block, 0)
                 case Frame(data=data):
                     self._hear(decode(data))
 
@@ -60,14 +69,15 @@ class StandIn:
         elif isinstance(message, Segment):
             if self.first_segment_secs is None:
                 self.first_segment_secs = time.monotonic()
-            self.steps += message.steps * message.columns
-            self._answer(message.life, message.seq + 1)
+            if message.block == self._blocks[0]:
+                self.steps += message.steps * message.columns * self._row_env_steps
+            self._answer(message.life, message.block, message.seq + 1)
 
-    def _answer(self, life: str, upto: int) -> None:
+    def _answer(self, life: str, block: str, upto: int) -> None:
         ack = Ack(
             run=RUN,
             term=1,
-            block=self._block,
+            block=block,
             life=LIFE,
             seq=self._answers,
             to=life,
@@ -81,10 +91,13 @@ class StandIn:
 
 
 def _models(settings: RunSettings) -> list[Model]:
-    world = world_of(settings, 1)
-    interface = interface_of(settings, senses=world.senses, action_size=world.action_size)
-    block, fingerprint = settings.block[0].name, interface.fingerprint()
+    world, tree = body_of(settings)
+    interface = interface_of(
+        settings, senses=world.senses, action_size=world.action_size, blocks=tree.specs.values()
+    )
+    fingerprint = interface.fingerprint()
     return [
         offer.message(run=RUN, term=1, block=block, life=LIFE, fingerprint=fingerprint)
-        for offer in offers_of(settings)
+        for block, offers in offers_of(settings).items()
+        for offer in offers
     ]

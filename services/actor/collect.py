@@ -1,7 +1,7 @@
 """Acting in one phase: steps of the worlds in, finished segments out; no wire, no clock.
 
-All blocks of a level act in the same worlds at the same time. Models are swapped only at the
-border of a segment, so a segment has one encoder and one policy version.
+All blocks of a level act in the same worlds at the same time, those below them as their limbs. Models are
+swapped only at the border of a segment, so a segment has one encoder and one policy version.
 
 When a simulation breaks down, the unfinished segments of all blocks are dropped: no number of it
 is ever published. What follows is a new episode in every column, for there are steps missing.
@@ -15,15 +15,13 @@ from numpy.typing import NDArray
 
 from babble.breakdowns import Breakdowns
 from babble.legs import Witness
-from babble.noise import make_noise
-from babble.policy.goals import GoalClock, WalkClock
+from babble.levels import LevelWorld, Stage
 from babble.segments import SegmentBuilder
 from babble.worlds.batch import Flags, Step
-from protocol.messages import Phase
 from services.actor.config import Body
 from services.actor.models import ModelShelf
-from services.actor.ways import Floats, PolicyMode, PractiseWay, RandomWay, Record, WalkWay, Way
-from services.runtime.settings import RunSettings
+from services.actor.stages import Term, staged, way_of
+from services.actor.ways import Floats, PolicyMode, Record, Way
 
 
 @dataclass(frozen=True)
@@ -36,6 +34,7 @@ class Finished:
     encoder_version: int
     policy_version: int
     steps: int
+    """of the block: one for each row of the arrays"""
     columns: int
     first_step: int
 
@@ -61,25 +60,30 @@ class SegmentCollector:
 
     def __init__(
         self,
-        body: Body,
-        ways: dict[str, Way],
+        stage: Stage,
+        way: Way,
         *,
         segment_steps: int,
         observation: Floats,
         breakdowns: Breakdowns,
-        witness: Witness,
     ) -> None:
+        """`segment_steps` are those of the stage, `observation` (E, n) is the stage's at the beginning."""
         self.env_steps = 0
-        self.observation = observation
+        self._stage = stage
+        self._way = way
+        self._observation = observation
         self._breakdowns = breakdowns
-        self._witness = witness
-        self._body = body
-        self._ways = ways
-        self._columns = body.world.columns
+        self._columns = stage.world.columns
         self._episode = np.zeros(self._columns, np.int32)
         self._segment_steps = segment_steps
-        self._builders = {block: SegmentBuilder(segment_steps, self._columns) for block in ways}
+        self._builders = {block: SegmentBuilder(segment_steps, self._columns) for block in stage.observed}
         self._steps = self._first_step = 0
+
+    @property
+    def body_observation(self) -> Floats:
+        """(E, n) the observation of the body itself, for whoever acts next."""
+        world = self._stage.world
+        return world.body_observation if isinstance(world, LevelWorld) else self._observation
 
     def at_border(self) -> bool:
         """True between two segments."""
@@ -89,8 +93,7 @@ class SegmentCollector:
         """Step up to `steps` times; the blocks' segments end together, or are dropped together."""
         if self.at_border():
             self._first_step = self._steps
-            for way in self._ways.values():
-                way.begin_segment()
+            self._way.begin_segment()
         for _ in range(steps):
             finished = self._step_once()
             if self.at_border():
@@ -98,31 +101,26 @@ class SegmentCollector:
         return []
 
     def _step_once(self) -> list[Finished]:
-        tree, world = self._body.tree, self._body.world
-        before = self.observation
-        action = np.zeros((self._columns, world.action_size), np.float32)
-        for block, way in self._ways.items():
-            action[:, tree.driven(block)] = way.act(before[:, tree.observed(block)])
-        if self._witness.looking:
-            self._witness.see(before, {block: way.seen for block, way in self._ways.items()})
-        step = world.step(action)
+        stage, before = self._stage, self._observation
+        action = self._way.act(before)
+        if stage.witness.looking:
+            stage.witness.see(before, self._way.seen)
+        step = stage.world.step(action)
         self._steps += 1
-        self.env_steps += self._columns
+        self.env_steps += self._columns * stage.env_steps_per_step
         if step.failed is not None and step.failed.any():
             self._drop(step, step.failed)
             return []
         finished = []
-        for block, way in self._ways.items():
-            seen = tree.observed(block)
-            record = way.record(before[:, seen], step.observation[:, seen], step, self._episode)
+        for block, record in self._way.record(before, step, self._episode).items():
             arrays = self._builders[block].add(**record)
             if arrays is not None:
-                finished.append(self._finish(block, way, arrays))
+                finished.append(self._finish(block, arrays))
         ended = step.terminated | step.truncated
-        self.observation = world.restart(ended) if ended.any() else step.observation
+        self._observation = stage.world.restart(ended) if ended.any() else step.observation
         self._episode = self._episode + ended.astype(np.int32)
         if ended[0]:
-            self._witness.cut()
+            stage.witness.cut()
         if finished:
             self._breakdowns.finish()
         return finished
@@ -131,52 +129,44 @@ class SegmentCollector:
         for builder in self._builders.values():
             builder.discard()
         self._breakdowns.note(failed, segments=len(self._builders))
-        self._witness.cut()
-        self.observation = self._body.world.restart(failed | step.terminated | step.truncated)
+        self._stage.witness.cut()
+        self._observation = self._stage.world.restart(failed | step.terminated | step.truncated)
         self._episode = self._episode + np.int32(1)
 
-    def _finish(self, block: str, way: Way, arrays: dict[str, NDArray[np.generic]]) -> Finished:
+    def _finish(self, block: str, arrays: dict[str, NDArray[np.generic]]) -> Finished:
+        held = self._way.held(block)
         return Finished(
             block=block,
             arrays=arrays,
-            policy=way.policy,
-            encoder_version=way.held.encoder_version,
-            policy_version=way.held.policy_version,
+            policy=self._way.policy,
+            encoder_version=held.encoder_version,
+            policy_version=held.policy_version,
             steps=self._segment_steps,
             columns=self._columns,
             first_step=self._first_step,
         )
 
 
-def ways_of(
-    phase: Phase,
+def collector_of(
+    term: Term,
     body: Body,
-    blocks: list[str],
     shelf: ModelShelf,
-    settings: RunSettings,
     rng: np.random.Generator,
-) -> dict[str, Way]:
-    """Each block's way of acting in a phase that trains or collects."""
-    columns = body.world.columns
-    ways: dict[str, Way] = {}
-    for block in blocks:
-        latent_dim = body.tree.specs[block].latent_dim
-        if phase is Phase.BABBLE:
-            noise = make_noise(
-                settings.babbling.kind,
-                scale=settings.babbling.scale,
-                columns=columns,
-                size=body.tree.action_size_of(block),
-                rng=rng,
-                correlation=settings.babbling.correlation,
-                hold_steps=settings.babbling.hold_steps,
-            )
-            ways[block] = RandomWay(noise, body.layouts[block].pack)
-        elif phase is Phase.WALK:
-            walk = WalkClock(columns, latent_dim, settings.goals.walk_steps_per_goal, rng)
-            ways[block] = WalkWay(block, shelf, walk, rng, body.layouts[block].pack)
-        else:
-            clock = GoalClock(columns, latent_dim, settings.goals.period_steps, rng)
-            external = settings.goals.external_weight != 0
-            ways[block] = PractiseWay(block, shelf, clock, rng, external=external)
-    return ways
+    *,
+    observation: Floats,
+    breakdowns: Breakdowns,
+    witness: Witness,
+) -> SegmentCollector:
+    """The collector of a phase that trains or collects; `observation` (E, n) is the body's present one.
+
+    Raises RuntimeError if models of the blocks below are not held.
+    """
+    stage = staged(term, body, shelf, witness)
+    world = stage.world
+    return SegmentCollector(
+        stage,
+        way_of(term, body, stage, shelf, rng),
+        segment_steps=term.level_settings.actors.segment_steps,
+        observation=world.resume(observation) if isinstance(world, LevelWorld) else observation,
+        breakdowns=breakdowns,
+    )

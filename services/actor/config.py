@@ -21,12 +21,12 @@ class Body:
     world: World
     tree: BlockTree
     layouts: Mapping[str, Layout]
-    """of what each block of level 0 observes"""
+    """of what each block observes"""
 
     @classmethod
     def of(cls, world: World, tree: BlockTree) -> "Body":
         """A world and its blocks. Raises ValueError for a block that observes part of an image."""
-        layouts = {spec.name: _layout(world, tree, spec.name) for spec in tree.level(0)}
+        layouts = {name: _layout(world, tree, name) for name in tree.specs}
         return cls(world, tree, layouts)
 
 
@@ -54,6 +54,8 @@ def first_observation(body: Body) -> NDArray[np.float32]:
 
 
 def _layout(world: World, tree: BlockTree, block: str) -> Layout:
+    if tree.specs[block].children:
+        return Layout({"latent": (tree.observation_size_of(block),)})
     try:
         return Layout(part_of(world.senses, tree.observed(block)))
     except ValueError as error:

@@ -7,8 +7,8 @@ from babble.legs import Legs, Walk, Walker, Witness
 from services.actor.collect import Finished
 from services.actor.config import Body
 from services.actor.models import Held, ModelShelf
+from services.actor.stages import Term, staged
 from services.actor.ways import PolicyMode, Record
-from services.runtime.settings import RunSettings
 
 
 class EvaluationCollector:
@@ -16,24 +16,24 @@ class EvaluationCollector:
 
     def __init__(
         self,
+        term: Term,
         body: Body,
-        blocks: list[str],
         shelf: ModelShelf,
-        settings: RunSettings,
         rng: np.random.Generator,
+        *,
         breakdowns: Breakdowns,
         witness: Witness,
     ) -> None:
+        """Raises RuntimeError if models of the blocks below are not held."""
         self.env_steps = 0
         self.mode: PolicyMode = "mean"
         """of the next walk; one that has begun goes on as it began"""
-        self._body = body
-        self._blocks = blocks
+        self._term = term
+        self._stage = staged(term, body, shelf, witness)
         self._shelf = shelf
-        self._settings = settings.evaluation
+        self._plan = term.level_settings.evaluation
         self._rng = rng
         self._breakdowns = breakdowns
-        self._witness = witness
         self._walk: Walk | None = None
         self._walk_mode: PolicyMode = "mean"
         self._held: dict[str, Held] = {}
@@ -48,36 +48,43 @@ class EvaluationCollector:
             self._walk = self._begin()
         walk, before = self._walk, self._walk.steps
         done = walk.advance(steps)
-        self.env_steps += (walk.steps - before) * self._body.world.columns
+        self.env_steps += (walk.steps - before) * self._columns * self._stage.env_steps_per_step
         if not done:
             return []
         self._walk = None
         return [self._finish(block, legs) for block, legs in walk.legs().items()]
 
+    @property
+    def _columns(self) -> int:
+        return self._stage.world.columns
+
+    @property
+    def _leg_steps(self) -> int:
+        """Steps of the stage in one leg."""
+        return self._plan.leg_steps // self._stage.env_steps_per_step
+
     def _begin(self) -> Walk:
         if self.mode == "random":
             raise RuntimeError("an evaluation acts by the policy, never at random")
-        self._held = {block: self._shelf.of(block) for block in self._blocks}
+        self._held = {block: self._shelf.of(block) for block in self._term.blocks}
         self._walk_mode = self.mode
         return Walk(
-            self._body.world,
+            self._stage.world,
             {block: self._walker(block, held) for block, held in self._held.items()},
             self._rng,
-            self._settings.legs,
-            self._settings.leg_steps,
+            self._plan.legs,
+            self._leg_steps,
             self.mode,
             breakdowns=self._breakdowns,
-            witness=self._witness,
+            witness=self._stage.witness,
         )
 
     def _walker(self, block: str, held: Held) -> Walker:
-        if held.encoder is None or held.policy is None:
-            raise RuntimeError(f"block {block} was evaluated before it held an encoder and a policy")
-        tree = self._body.tree
-        return Walker(held.encoder, held.policy, tree.observed(block), tree.driven(block))
+        models = held.models()
+        return Walker(models.encoder, models.policy, self._stage.observed[block], self._stage.driven[block])
 
     def _finish(self, block: str, legs: Legs) -> Finished:
-        steps = self._settings.legs * self._settings.leg_steps
+        steps = self._plan.legs * self._leg_steps
         arrays: Record = {
             "start_posture": np.asarray(legs.start_posture),
             "posture": legs.posture,
@@ -86,7 +93,7 @@ class EvaluationCollector:
         }
         if legs.external_reward is not None:
             arrays["external_reward"] = legs.external_reward
-        columns = self._body.world.columns
+        done = self.env_steps // (self._columns * self._stage.env_steps_per_step)
         return Finished(
             block=block,
             arrays=arrays,
@@ -94,7 +101,7 @@ class EvaluationCollector:
             encoder_version=self._held[block].encoder_version,
             policy_version=self._held[block].policy_version,
             steps=steps,
-            columns=columns,
+            columns=self._columns,
             # Attempts that broke down count too, so that the gap can be seen.
-            first_step=self.env_steps // columns - steps,
+            first_step=done - steps,
         )

@@ -16,7 +16,7 @@ def check_frames(settings: RunSettings, body: Body) -> None:
     """Raise `SettingsError` if a segment of some phase would be larger than a frame may be."""
     columns = settings.actors.envs_per_actor
     for block in body.layouts:
-        for phases, rows, row_bytes, lower in _sizes(settings, body, block):
+        for phases, rows, row_bytes, lower in _sizes(settings.of_block(block), body, block):
             if rows * columns * row_bytes > ROOM_BYTES:
                 raise SettingsError(
                     f"a segment of {phases} of block {block} would have "

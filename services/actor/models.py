@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from babble.limbs import BlockModels
 from babble.policy.act import EncoderModel, ModelError, PolicyModel
 from protocol.latest import LatestModel
 from protocol.messages import Model, ModelFloor
@@ -20,6 +21,12 @@ class Held:
     def meets(self, floor: ModelFloor) -> bool:
         """True if both models are at least of the floor's versions (0 asks for none)."""
         return self.encoder_version >= floor.encoder and self.policy_version >= floor.policy
+
+    def models(self) -> BlockModels:
+        """What it acts with. Raises RuntimeError while one of the two is missing."""
+        if self.encoder is None or self.policy is None:
+            raise RuntimeError("a block was asked to act before it held an encoder and a policy")
+        return BlockModels(self.encoder, self.policy)
 
 
 class ModelShelf:

@@ -10,12 +10,13 @@ from protocol import keys
 from protocol.gate import Gate
 from protocol.latest import LatestPhase
 from protocol.messages import Ack, Model, ModelFloor, Phase, PhaseAnnounced
-from services.actor.collect import Collector, Finished, SegmentCollector, ways_of
+from services.actor.collect import Collector, Finished, SegmentCollector, collector_of
 from services.actor.config import body_of, first_observation, seeds_of
 from services.actor.evaluation import EvaluationCollector
 from services.actor.frames import check_frames
 from services.actor.models import ModelShelf
 from services.actor.outbox import CONSUMER_OF, Outbox
+from services.actor.stages import Term
 from services.actor.views import Views
 from services.runtime.bus import Frame, Inbox
 from services.runtime.errors import UserError
@@ -52,7 +53,13 @@ class Actor:
         world = self._body.world
         settings.check_rewarded(world.rewarded)
         self._breakdowns = Breakdowns(world.id)
-        fingerprint = interface_of(settings, senses=world.senses, action_size=world.action_size).fingerprint()
+        interface = interface_of(
+            settings,
+            senses=world.senses,
+            action_size=world.action_size,
+            blocks=self._body.tree.specs.values(),
+        )
+        fingerprint = interface.fingerprint()
         self._observation = first_observation(self._body)
         self._shelf = ModelShelf(block.name for block in settings.block)
         self._outbox = Outbox(
@@ -116,36 +123,33 @@ class Actor:
             return
         log.info("term %d: %s", announced.term, announced.phase)
         if isinstance(self._collector, SegmentCollector):
-            self._observation = self._collector.observation
+            self._observation = self._collector.body_observation
         if self._collector is not None:
             self._earlier_steps += self._collector.env_steps
-        self._announced = announced
+        self._announced, self._collector = announced, None
         self._waiting_for = ""
         evaluating = announced.phase is Phase.EVALUATE
-        self._views.enter(announced.term, (self._fresh_body if evaluating else self._body).world)
-        self._collector = self._new_collector(announced)
+        world = (self._fresh_body if evaluating else self._body).world
+        self._views.enter(announced.term, world, announced.frozen)
         self._urgent = True
 
-    def _new_collector(self, announced: PhaseAnnounced) -> Collector | None:
-        settings = self._context.settings
-        blocks = sorted(announced.blocks)
+    def _new_collector(self, announced: PhaseAnnounced) -> Collector:
+        """For a phase in which actors act; the models of all blocks below the level are held."""
+        term = Term.of(announced.phase, announced.blocks, self._context.settings)
         if announced.phase is Phase.EVALUATE:
             return EvaluationCollector(
+                term,
                 self._fresh_body,
-                blocks,
                 self._shelf,
-                settings,
                 self._evaluation_rng,
-                self._breakdowns,
-                self._views,
+                breakdowns=self._breakdowns,
+                witness=self._views,
             )
-        if announced.phase not in CONSUMER_OF:
-            return None
-        ways = ways_of(announced.phase, self._body, blocks, self._shelf, settings, self._rng)
-        return SegmentCollector(
+        return collector_of(
+            term,
             self._body,
-            ways,
-            segment_steps=settings.actors.segment_steps,
+            self._shelf,
+            self._rng,
             observation=self._observation,
             breakdowns=self._breakdowns,
             witness=self._views,
@@ -159,10 +163,13 @@ class Actor:
     def _act(self, now_secs: float) -> bool:
         """Work on the current segment; False if nothing is wanted or the models are not here yet."""
         collector, announced = self._collector, self._announced
-        if collector is None or announced is None:
+        if announced is None or announced.phase not in CONSUMER_OF:
             return False
-        if collector.at_border() and not self._may_begin(announced, collector):
+        if (collector is None or collector.at_border()) and not self._may_begin(announced):
             return False
+        if collector is None:
+            collector = self._collector = self._new_collector(announced)
+        self._choose_mode(announced, collector)
         clock = self._context.clock
         began_secs = clock.now_secs()
         for _ in range(QUANTUM_STEPS):
@@ -175,20 +182,19 @@ class Actor:
                 break
         return True
 
-    def _may_begin(self, announced: PhaseAnnounced, collector: Collector) -> bool:
-        """True if some block's next segment is granted and all blocks' models are recent enough.
+    def _may_begin(self, announced: PhaseAnnounced) -> bool:
+        """True if some block's next segment is granted and the models of all that act are recent enough.
 
-        The blocks act in the same worlds, so all of them need their models, granted or not.
+        The blocks act in the same worlds, so all of them need their models, granted or not, and so do the
+        frozen blocks below them.
         """
-        self._waiting_for = ""
-        grants = {
-            block: self._outbox.grant(announced.phase, announced.term, block) for block in announced.blocks
-        }
+        grants = self._grants(announced)
+        floors: dict[str, ModelFloor] = {**announced.frozen}
         for block, floor in announced.blocks.items():
-            ack = grants[block]
-            needed = ModelFloor(
-                encoder=floor.encoder, policy=max(floor.policy, ack.policy_floor if ack else 0)
-            )
+            ack = grants.get(block)
+            wanted = max(floor.policy, ack.policy_floor if ack else 0)
+            floors[block] = ModelFloor(encoder=floor.encoder, policy=wanted)
+        for block, needed in floors.items():
             held = self._shelf.of(block)
             if not held.meets(needed):
                 self._waiting_for = (
@@ -196,14 +202,21 @@ class Actor:
                     f"it has {held.encoder_version} and {held.policy_version}"
                 )
                 return False
-        granted = [ack for ack in grants.values() if ack is not None]
-        if not granted:
-            self._waiting_for = f"a grant of {CONSUMER_OF[announced.phase]}"
-        elif isinstance(collector, EvaluationCollector):
-            # Blocks may be at different halves of their evaluation; the mean actions come first.
-            wants = {ack.want for ack in granted}
+        self._waiting_for = "" if grants else f"a grant of {CONSUMER_OF[announced.phase]}"
+        return bool(grants)
+
+    def _grants(self, announced: PhaseAnnounced) -> dict[str, Ack]:
+        acks = {
+            block: self._outbox.grant(announced.phase, announced.term, block) for block in announced.blocks
+        }
+        return {block: ack for block, ack in acks.items() if ack is not None}
+
+    def _choose_mode(self, announced: PhaseAnnounced, collector: Collector) -> None:
+        """How the next legs are walked: blocks may be at different halves of their evaluation."""
+        if isinstance(collector, EvaluationCollector) and collector.at_border():
+            # The mean actions come first.
+            wants = {ack.want for ack in self._grants(announced).values()}
             collector.mode = "mean" if "mean" in wants else "sampled"
-        return bool(granted)
 
     def _report(self) -> dict[str, Any]:
         announced, views = self._announced, self._views

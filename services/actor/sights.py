@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from babble.legs import Floats, Seen
+from babble.legs import Seen
+from babble.policy.act import Floats
 
 
 class Pace:

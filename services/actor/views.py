@@ -9,10 +9,11 @@ the next clip begins. Where a step takes longer than the time between two poses,
 """
 
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 
-from babble.legs import Floats, Seen, Witness
+from babble.legs import Seen, Witness
+from babble.policy.act import Floats
 from babble.worlds.batch import World
 from babble.worlds.showing import Pose, Shown, shown
 from protocol import keys
@@ -48,9 +49,9 @@ class Views(Witness):
         self._env_steps = 0
         self.enter(0, world)
 
-    def enter(self, term: int, world: World) -> None:
-        """A new term, in which this world is acted in."""
-        self._term, self._world = term, world
+    def enter(self, term: int, world: World, limbs: Collection[str] = ()) -> None:
+        """A new term, in which this world is acted in; `limbs` are the blocks that are not at work in it."""
+        self._term, self._world, self._limbs = term, world, frozenset(limbs)
         self._clip.clear()
         self._to_keep = 0
         self.cut()
@@ -114,9 +115,11 @@ class Views(Witness):
         body = {"posture": posture[:columns], "path": self._trail.path()}
         acted_on = {block: each for block, each in seen.items() if each is not None}
         for block, (latent, goal) in acted_on.items():
+            # Where the body is, the blocks at work say; their limbs say only what they do.
+            place = {} if block in self._limbs else body
             trail = self._trail.latents(block)
             self._publish(
-                "latent", block, {"latent": latent[:columns], "goal": goal[:columns], "trail": trail, **body}
+                "latent", block, {"latent": latent[:columns], "goal": goal[:columns], "trail": trail, **place}
             )
         if not acted_on:
             self._publish("posture", ALL_BLOCKS, body)

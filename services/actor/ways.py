@@ -1,15 +1,17 @@
-"""How one block acts and what it records, phase by phase (thesis 3.3)."""
+"""How the blocks of a level act and what they record, phase by phase (thesis 3.3, 3.5)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from babble.legs import Seen
+from babble.levels import Stage
 from babble.noise import Noise
-from babble.policy.act import EncoderModel, PolicyModel
 from babble.policy.goals import GoalClock, WalkClock
+from babble.policy.together import Drawn, Encoders, Policies
 from babble.worlds.batch import Step
 from services.actor.models import Held, ModelShelf
 
@@ -21,45 +23,74 @@ Pack = Callable[[Floats], Record]
 
 
 class Way(Protocol):
-    """One block's way of acting in a phase."""
+    """The way in which all blocks of a level act in a phase."""
 
     policy: PolicyMode
-    held: Held
-    """The models of the current segment."""
-    seen: Seen | None
-    """The latent and the goal (E, d) that `act` last acted on; None without a latent."""
+    seen: Mapping[str, Seen | None]
+    """By block, the latent and the goal (E, d) that `act` last acted on; None without a latent."""
+
+    def held(self, block: str) -> Held:
+        """The models of the current segment."""
 
     def begin_segment(self) -> None:
         """Take the newest models; called at the border of each segment."""
 
     def act(self, observation: Floats) -> Floats:
-        """The block's action (E, a) on its observation (E, n)."""
+        """The action (E, a) of all blocks on the stage's observation (E, n)."""
 
-    def record(self, observation: Floats, arrived: Floats, step: Step, episode: NDArray[np.int32]) -> Record:
-        """What this step adds to the segment; `arrived` is the block's observation after it."""
+    def record(self, observation: Floats, step: Step, episode: NDArray[np.int32]) -> dict[str, Record]:
+        """What this step, from the observation (E, n), adds to each block's segment."""
+
+
+@dataclass(frozen=True)
+class Cast:
+    """The blocks of a level on their stage, and what each of them sends of what it observes."""
+
+    stage: Stage
+    packs: Mapping[str, Pack]
+
+    def seen_by(self, observation: Floats) -> dict[str, Floats]:
+        """What each block observes of (E, n)."""
+        return {block: observation[:, part] for block, part in self.stage.observed.items()}
+
+    def joined(self, actions: Mapping[str, Floats]) -> Floats:
+        """The action (E, a) of all blocks together; what no block drives stays at 0."""
+        world = self.stage.world
+        action = np.zeros((world.columns, world.action_size), np.float32)
+        for block, part in actions.items():
+            action[:, self.stage.driven[block]] = part
+        return action
+
+    def packed(self, observation: Floats, episode: NDArray[np.int32]) -> dict[str, Record]:
+        """The observation and its episode, of each block."""
+        observed = self.seen_by(observation).items()
+        return {block: {**self.packs[block](part), "episode": episode} for block, part in observed}
 
 
 class RandomWay:
-    """BABBLE: a random walk, whatever is observed."""
+    """BABBLE: a random walk, whatever is observed; for blocks with children, their goals at random."""
 
     policy: PolicyMode = "random"
-    held = Held()
-    seen: Seen | None = None
 
-    def __init__(self, noise: Noise, pack: Pack) -> None:
-        self._noise = noise
-        self._pack = pack
+    def __init__(self, cast: Cast, noises: Mapping[str, Noise]) -> None:
+        self.seen: Mapping[str, Seen | None] = dict.fromkeys(noises)
+        self._cast = cast
+        self._noises = noises
+
+    def held(self, block: str) -> Held:
+        """Nothing: a random walk needs no model."""
+        return Held()
 
     def begin_segment(self) -> None:
-        """Nothing: a random walk needs no model."""
+        """Nothing to take."""
 
     def act(self, observation: Floats) -> Floats:
         """The next noise."""
-        return self._noise.sample()
+        return self._cast.joined({block: noise.sample() for block, noise in self._noises.items()})
 
-    def record(self, observation: Floats, arrived: Floats, step: Step, episode: NDArray[np.int32]) -> Record:
+    def record(self, observation: Floats, step: Step, episode: NDArray[np.int32]) -> dict[str, Record]:
         """The observation and its episode."""
-        return {**self._pack(observation), "episode": episode}
+        return self._cast.packed(observation, episode)
 
 
 class _ModelWay:
@@ -68,45 +99,79 @@ class _ModelWay:
     policy: PolicyMode = "sampled"
 
     def __init__(
-        self, block: str, shelf: ModelShelf, clock: GoalClock | WalkClock, rng: np.random.Generator
+        self,
+        cast: Cast,
+        shelf: ModelShelf,
+        clocks: Mapping[str, GoalClock] | Mapping[str, WalkClock],
+        rng: np.random.Generator,
     ) -> None:
-        self.held = Held()
-        self.seen: Seen | None = None
-        self._block = block
+        self.seen: Mapping[str, Seen | None] = {}
+        self._cast = cast
         self._shelf = shelf
-        self._clock = clock
+        self._clocks = clocks
         self._rng = rng
+        self._held: dict[str, Held] = {}
+        self._encoders = Encoders({})
+        self._policies = Policies({})
+
+    def held(self, block: str) -> Held:
+        """The models of the current segment."""
+        return self._held[block]
 
     def begin_segment(self) -> None:
         """Take the newest models. The collector begins no segment without them."""
-        self.held = self._shelf.of(self._block)
+        newest = {block: self._shelf.of(block) for block in self._clocks}
+        if newest == self._held:
+            return
+        self._held = newest
+        models = {block: held.models() for block, held in newest.items()}
+        self._encoders = Encoders({block: each.encoder for block, each in models.items()})
+        self._policies = Policies({block: each.policy for block, each in models.items()})
 
-    def _models(self) -> tuple[EncoderModel, PolicyModel]:
-        if self.held.encoder is None or self.held.policy is None:
-            raise RuntimeError(f"block {self._block} was asked to act before it held an encoder and a policy")
-        return self.held.encoder, self.held.policy
+    def _goals(self) -> dict[str, Floats]:
+        """The goals of the moment."""
+        return {block: clock.goal for block, clock in self._clocks.items()}
+
+    def _latents(self, observation: Floats) -> dict[str, Floats]:
+        return self._encoders.latents(self._cast.seen_by(observation))
+
+    def _drawn(self, latents: Mapping[str, Floats], goals: Mapping[str, Floats]) -> dict[str, Drawn]:
+        """Sampled actions towards the goals."""
+        self.seen = {block: (latents[block], goal) for block, goal in goals.items()}
+        return self._policies.act(latents, goals, self._rng, "sampled")
 
 
 class WalkWay(_ModelWay):
     """WALK: from vertex to vertex with sampled actions, for the encoder to see the way."""
 
     def __init__(
-        self, block: str, shelf: ModelShelf, clock: WalkClock, rng: np.random.Generator, pack: Pack
+        self,
+        cast: Cast,
+        shelf: ModelShelf,
+        clocks: Mapping[str, WalkClock],
+        rng: np.random.Generator,
+        *,
+        hold_steps: int = 1,
     ) -> None:
-        super().__init__(block, shelf, clock, rng)
-        self._pack = pack
+        """An action is held for `hold_steps` steps of the stage: blocks with children decide less often."""
+        super().__init__(cast, shelf, clocks, rng)
+        self._hold_steps = hold_steps
+        self._steps = 0
+        self._action = np.zeros(0, np.float32)
 
     def act(self, observation: Floats) -> Floats:
-        """Sampled actions towards the vertex of the moment."""
-        encoder, policy = self._models()
-        latent, goal = self.seen = encoder.latent(observation), self._clock.goal
-        action, _ = policy.act(latent, goal, self._rng, mode="sampled")
-        return action
+        """Sampled actions towards the vertices of the moment."""
+        if self._steps % self._hold_steps == 0:
+            drawn = self._drawn(self._latents(observation), self._goals())
+            self._action = self._cast.joined({block: action for block, (action, _) in drawn.items()})
+        self._steps += 1
+        return self._action
 
-    def record(self, observation: Floats, arrived: Floats, step: Step, episode: NDArray[np.int32]) -> Record:
+    def record(self, observation: Floats, step: Step, episode: NDArray[np.int32]) -> dict[str, Record]:
         """The observation and its episode."""
-        self._clock.tick()
-        return {**self._pack(observation), "episode": episode}
+        for clock in self._clocks.values():
+            clock.tick()
+        return self._cast.packed(observation, episode)
 
 
 class PractiseWay(_ModelWay):
@@ -114,51 +179,52 @@ class PractiseWay(_ModelWay):
 
     def __init__(
         self,
-        block: str,
+        cast: Cast,
         shelf: ModelShelf,
-        clock: GoalClock | WalkClock,
+        clocks: Mapping[str, GoalClock],
         rng: np.random.Generator,
         *,
         external: bool,
     ) -> None:
         """`external`: the task's own reward is recorded too, for the policy to be trained on."""
-        super().__init__(block, shelf, clock, rng)
+        super().__init__(cast, shelf, clocks, rng)
         self._external = external
-        self._latent: Floats | None = None
-        self._goal = clock.goal
-        self._action = self._log_prob = np.zeros(0, np.float32)
+        self._latent: dict[str, Floats] | None = None
+        self._goal: dict[str, Floats] = {}
+        self._acted: dict[str, Drawn] = {}
 
     def begin_segment(self) -> None:
-        """Take the newest models; the latent of the border is encoded anew with them."""
+        """Take the newest models; the latents of the border are encoded anew with them."""
         super().begin_segment()
         self._latent = None
 
     def act(self, observation: Floats) -> Floats:
-        """Sampled actions towards the goal of the moment."""
-        encoder, policy = self._models()
+        """Sampled actions towards the goals of the moment."""
         if self._latent is None:
-            self._latent = encoder.latent(observation)
-        self._goal = self._clock.goal
-        self.seen = self._latent, self._goal
-        self._action, self._log_prob = policy.act(self._latent, self._goal, self._rng, mode="sampled")
-        return self._action
+            self._latent = self._latents(observation)
+        self._goal = self._goals()
+        self._acted = self._drawn(self._latent, self._goal)
+        return self._cast.joined({block: action for block, (action, _) in self._acted.items()})
 
-    def record(self, observation: Floats, arrived: Floats, step: Step, episode: NDArray[np.int32]) -> Record:
+    def record(self, observation: Floats, step: Step, episode: NDArray[np.int32]) -> dict[str, Record]:
         """One transition; a goal switch is a truncation under the old goal (eq. 11, facts section 1)."""
-        encoder, _ = self._models()
-        next_latent = encoder.latent(arrived)
-        switched = self._clock.tick()
-        record: Record = {
-            "latent": np.asarray(self._latent),
-            "next_latent": next_latent,
-            "goal": self._goal,
-            "action": self._action,
-            "log_prob": self._log_prob,
-            "truncated": (switched | step.truncated).astype(np.uint8),
-            "terminated": step.terminated.astype(np.uint8),
-        }
-        if self._external:
-            record["external_reward"] = step.external_reward
+        latents, arrived = self._latent, self._latents(step.observation)
+        assert latents is not None
+        terminated = step.terminated.astype(np.uint8)
+        records: dict[str, Record] = {}
+        for block, clock in self._clocks.items():
+            action, log_prob = self._acted[block]
+            records[block] = {
+                "latent": latents[block],
+                "next_latent": arrived[block],
+                "goal": self._goal[block],
+                "action": action,
+                "log_prob": log_prob,
+                "truncated": (clock.tick() | step.truncated).astype(np.uint8),
+                "terminated": terminated,
+            }
+            if self._external:
+                records[block]["external_reward"] = step.external_reward
         ended = step.terminated | step.truncated
-        self._latent = None if ended.any() else next_latent
-        return record
+        self._latent = None if ended.any() else arrived
+        return records

@@ -7,9 +7,11 @@ from babble.breakdowns import Breakdowns
 from babble.legs import Witness
 from babble.policy.goals import GoalClock
 from protocol.messages import Phase
-from services.actor.collect import SegmentCollector, ways_of
+from services.actor.collect import SegmentCollector
+from services.actor.collect import collector_of as collecting
 from services.actor.config import Body, body_of, seeds_of
 from services.actor.models import ModelShelf
+from services.actor.stages import Term
 from services.runtime.settings import parse
 from tests.unit.actor_doubles import Shelf
 
@@ -37,11 +39,11 @@ def body() -> Body:
 
 
 def collector_of(phase: Phase, body: Body, shelf: ModelShelf) -> SegmentCollector:
-    ways = ways_of(phase, body, ["body"], shelf, SETTINGS, np.random.default_rng(1))
-    return SegmentCollector(
+    return collecting(
+        Term.of(phase, ["body"], SETTINGS),
         body,
-        ways,
-        segment_steps=12,
+        shelf,
+        np.random.default_rng(1),
         observation=body.world.reset(),
         breakdowns=Breakdowns("test"),
         witness=Witness(),

@@ -6,16 +6,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from babble.blocks import BlockTree
 from babble.breakdowns import MOST_IN_A_ROW, Breakdowns, UnstableError
 from babble.legs import Witness
 from protocol.messages import Phase
-from services.actor.collect import SegmentCollector, ways_of
+from services.actor.collect import collector_of
 from services.actor.config import Body
 from services.actor.evaluation import EvaluationCollector
+from services.actor.stages import Term
 from services.runtime.settings import RunSettings, parse
 from tests.simulated.episodic import EpisodicWorld
 from tests.unit.actor_doubles import Shelf
+from tests.unit.trees import tree_on
 
 STEPS, COLUMNS = 12, 3
 WALKING = (Phase.BABBLE, Phase.WALK)
@@ -44,22 +45,23 @@ class Acting:
     ) -> None:
         settings = settings or settings_of()
         self.world = EpisodicWorld(COLUMNS, np.random.default_rng(0), **parameters)
-        tree = BlockTree.of(settings.block, self.world.observation_size, self.world.action_size)
+        tree = tree_on(settings, self.world.observation_size, self.world.action_size)
         self.body = Body.of(self.world, tree)
         self.breakdowns = Breakdowns("Episodic")
         self.shelf = Shelf(["body"])
         self.shelf.put(1, actuators=1)
         rng, witness = np.random.default_rng(1), witness or Witness()
+        term = Term.of(phase, ["body"], settings)
         if phase is Phase.EVALUATE:
             self.collector: Any = EvaluationCollector(
-                self.body, ["body"], self.shelf, settings, rng, self.breakdowns, witness
+                term, self.body, self.shelf, rng, breakdowns=self.breakdowns, witness=witness
             )
         else:
-            ways = ways_of(phase, self.body, ["body"], self.shelf, settings, rng)
-            self.collector = SegmentCollector(
+            self.collector = collector_of(
+                term,
                 self.body,
-                ways,
-                segment_steps=STEPS,
+                self.shelf,
+                rng,
                 observation=self.world.reset(),
                 breakdowns=self.breakdowns,
                 witness=witness,

@@ -5,8 +5,10 @@ import pytest
 
 from babble.breakdowns import Breakdowns
 from babble.legs import Witness
+from protocol.messages import Phase
 from services.actor.config import Body, body_of
 from services.actor.evaluation import EvaluationCollector
+from services.actor.stages import Term
 from services.runtime.settings import parse
 from tests.unit.actor_doubles import Shelf
 
@@ -30,7 +32,12 @@ def shelf() -> Shelf:
 def collector_of(shelf: Shelf, body: Body | None = None) -> EvaluationCollector:
     body = body or body_of(SETTINGS, np.random.SeedSequence(9))
     return EvaluationCollector(
-        body, ["body"], shelf, SETTINGS, np.random.default_rng(2), Breakdowns("Cuboid"), Witness()
+        Term.of(Phase.EVALUATE, ["body"], SETTINGS),
+        body,
+        shelf,
+        np.random.default_rng(2),
+        breakdowns=Breakdowns("Cuboid"),
+        witness=Witness(),
     )
 
 
