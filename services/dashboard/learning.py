@@ -1,6 +1,6 @@
 """What the learners measure, and the scores of each evaluation."""
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 from protocol.messages import Score, Status
 from services.dashboard.canvas import Canvas, Due, Lines, page
@@ -52,6 +52,8 @@ SCORES: Mapping[str, tuple[str, Colour]] = {
 THIN_SECS = 2.0
 MOST_ROWS = 16
 """of the table of scores; the newest"""
+MOST_LIVES = 64
+"""of learners, whose totals are kept"""
 
 Key = tuple[str, int, str, str]
 
@@ -59,8 +61,9 @@ Key = tuple[str, int, str, str]
 class LearningPanel:
     """Under /learning/<block> and /scores/<block>; a measure is a row only after work that changed it."""
 
-    def __init__(self, blocks: Collection[str]) -> None:
-        self._blocks = tuple(blocks)
+    def __init__(self, blocks: Collection[str], levels: Sequence[Sequence[str]] = ()) -> None:
+        """`levels`: the names of the blocks of each level, that of the leaves first."""
+        self._blocks, self._levels = tuple(blocks), levels
         self._lines = Lines()
         self._totals: dict[str, Mapping[str, int]] = {}
         self._measured: dict[str, float] = {}
@@ -85,9 +88,12 @@ class LearningPanel:
             if score.block in self._blocks and _key(score) not in self._scores:
                 self._found.append(score)
                 self._scores[_key(score)] = score
-        if not status.service.endswith("_learner") or self._totals.get(status.service) == status.totals:
+        if not status.service.endswith("_learner") or self._totals.get(status.life) == status.totals:
             return
-        self._totals[status.service] = status.totals
+        self._totals.pop(status.life, None)
+        self._totals[status.life] = status.totals
+        if len(self._totals) > MOST_LIVES:
+            del self._totals[next(iter(self._totals))]
         for name, value in status.metrics.items():
             block, _, rest = name.partition("/")
             learner, _, measure = rest.partition("/")
@@ -97,7 +103,7 @@ class LearningPanel:
     def begin(self, canvas: Canvas) -> None:
         """Name the lines, and say the scores so far."""
         self._lines.begin(canvas)
-        canvas.log("/status/scores", page(scores_table(self.scores)))
+        canvas.log("/status/scores", page(self._table()))
 
     def draw(self, canvas: Canvas, now_secs: float) -> None:
         """Log what is new."""
@@ -111,7 +117,11 @@ class LearningPanel:
             for score in self._found:
                 self._draw_score(canvas, score)
             self._found.clear()
-            canvas.log("/status/scores", page(scores_table(self.scores)))
+            canvas.log("/status/scores", page(self._table()))
+
+    def _table(self) -> str:
+        deep = len(self._levels) > 1
+        return tree_scores_table(self.scores, self._levels) if deep else scores_table(self.scores)
 
     def _style(self, name: str) -> tuple[str, Colour]:
         """Name and colour of a measure's line; the lag of all blocks is in one plot."""
@@ -142,16 +152,28 @@ def scores_table(scores: Collection[Score]) -> str:
     """The newest scores as a table in Markdown, the last on top."""
     if not scores:
         return "There are scores after the first evaluation, which follows on ground."
-    heads = ["block", "after", "actions", *(title for title, _ in SCORES.values())]
-    rows = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
-    for score in reversed(list(scores)[-MOST_ROWS:]):
+    return _table(["block"], [([score.block], score) for score in reversed(list(scores)[-MOST_ROWS:])])
+
+
+def tree_scores_table(scores: Collection[Score], levels: Sequence[Sequence[str]]) -> str:
+    """The newest score of each block's mean actions, by level, the top one first."""
+    newest = {score.block: score for score in scores if score.policy == "mean"}
+    rows = [
+        ([str(level), block], newest[block])
+        for level, blocks in reversed(list(enumerate(levels)))
+        for block in blocks
+        if block in newest
+    ]
+    return _table(["level", "block"], rows) if rows else scores_table(())
+
+
+def _table(heads: Sequence[str], rows: Iterable[tuple[Sequence[str], Score]]) -> str:
+    """Scores in Markdown, after cells of their own."""
+    names = [*heads, "after", "actions", *(title for title, _ in SCORES.values())]
+    lines = ["| " + " | ".join(names) + " |", "|" + "---|" * len(names)]
+    for cells, score in rows:
         after = f"{score.phase} {score.iteration}" if score.iteration else str(score.phase)
         values = [getattr(score, name) for name in SCORES]
-        cells = [
-            score.block,
-            after,
-            score.policy,
-            *("" if value is None else f"{value:.3f}" for value in values),
-        ]
-        rows.append("| " + " | ".join(cells) + " |")
-    return "\n".join(rows)
+        numbers = ["" if value is None else f"{value:.3f}" for value in values]
+        lines.append("| " + " | ".join([*cells, after, score.policy, *numbers]) + " |")
+    return "\n".join(lines)

@@ -12,6 +12,7 @@ from services.dashboard.colours import PHASE_COLOURS
 from services.dashboard.latent_book import LatentBook, label_order
 from services.dashboard.roster import Roster
 from services.runtime.phases import phase_words
+from services.runtime.settings import RunSettings
 from services.runtime.speed import Speed
 
 SUMMARY_SECS = 1.0
@@ -27,10 +28,12 @@ LONGEST_ERROR = 240
 class PhasePanel:
     """Under /state/phase and /status/summary."""
 
-    def __init__(self, roster: Roster, books: Mapping[str, LatentBook], iterations: int) -> None:
-        self._roster, self._books = roster, books
+    def __init__(self, roster: Roster, books: Mapping[str, LatentBook], settings: RunSettings) -> None:
+        self._roster, self._books, self._levels = roster, books, settings.levels
         self._latest = LatestPhase()
-        self._states = phase_states(iterations)
+        levels = range(len(self._levels))
+        iterations = max(settings.of_level(level).phases.iterations for level in levels)
+        self._states = phase_states(iterations, len(levels))
         self._speeds: dict[str, Speed] = {}
         self._notes: tuple[str, ...] = ()
         self._due, self._thin, self._repeat = Due(SUMMARY_SECS), Due(THIN_SECS), Due(REPEAT_SECS)
@@ -84,6 +87,8 @@ class PhasePanel:
         work = self._work()
         for progress in list(work.values())[:MOST_BLOCKS]:
             lines += [self._progress_words(progress, now_secs), ""]
+        if len(work) > MOST_BLOCKS:
+            lines += [f"and {len(work) - MOST_BLOCKS} more blocks", ""]
         waiting = self._waiting()
         if waiting and not work:
             lines += [f"{waiting}", ""]
@@ -97,7 +102,7 @@ class PhasePanel:
     def _facts(self, now_secs: float) -> list[str]:
         actors = self._roster.of("actor")
         speeds = [speed for actor in actors if (speed := actor.env_steps.per_sec(now_secs)) is not None]
-        found = [newest.distances for book in self._books.values() for newest in book.acting(now_secs)]
+        found = [newest.distances for book in self._aiming(now_secs) for newest in book.acting(now_secs)]
         distances = np.concatenate(found) if found else np.zeros(0)
         counted = self._roster.ledger
         facts = {
@@ -143,30 +148,46 @@ class PhasePanel:
         return next((sentence for sentence in said if sentence), "")
 
     def _goals(self, now_secs: float) -> str:
-        for book in self._books.values():
+        for book in self._aiming(now_secs):
             goals = {n.label: int(n.goal[0].argmax()) for n in book.acting(now_secs) if n.goal is not None}
             if goals:
                 told = [f"{label}→g{goals[label]}" for label in sorted(goals, key=label_order)[:MOST_GOALS]]
                 return " · ".join(told)
         return ""
 
+    def _aiming(self, now_secs: float) -> list[LatentBook]:
+        """The blocks of the highest level on which somebody acts: those below get their goals from them."""
+        for names in reversed(self._levels):
+            books = [self._books[name] for name in names]
+            if any(book.acting(now_secs) for book in books):
+                return books
+        return []
+
     def _state(self, announced: PhaseAnnounced) -> str:
-        numbered = f"{announced.phase} {announced.iteration}"
-        return numbered if numbered in self._states else str(announced.phase)
+        level = _of_level(announced.level)
+        numbered = f"{announced.phase} {announced.iteration}{level}"
+        return numbered if numbered in self._states else f"{announced.phase}{level}"
 
 
 MOST_NUMBERED = 50
 """With more iterations their numbers are not in the phase bar, for each needs an entry of its own."""
 
 
-def phase_states(iterations: int) -> dict[str, int]:
+def phase_states(iterations: int, levels: int = 1) -> dict[str, int]:
     """What the phase bar may say, and its colour: the phases, and those of the loop with their iteration."""
-    states = {str(phase): colour for phase, colour in PHASE_COLOURS.items()}
-    if iterations <= MOST_NUMBERED:
-        for phase in (Phase.WALK, Phase.REFINE, Phase.PRACTISE, Phase.EVALUATE):
-            for iteration in range(1, iterations + 1):
-                states[f"{phase} {iteration}"] = PHASE_COLOURS[phase]
+    states: dict[str, int] = {}
+    for level in map(_of_level, range(levels)):
+        states |= {f"{phase}{level}": colour for phase, colour in PHASE_COLOURS.items()}
+        if iterations * levels <= MOST_NUMBERED:
+            for phase in (Phase.WALK, Phase.REFINE, Phase.PRACTISE, Phase.EVALUATE):
+                for iteration in range(1, iterations + 1):
+                    states[f"{phase} {iteration}{level}"] = PHASE_COLOURS[phase]
     return states
+
+
+def _of_level(level: int) -> str:
+    """Behind the name of a phase; nothing for the leaves, which are all there is in most runs."""
+    return f", level {level}" if level else ""
 
 
 def duration_words(secs: float) -> str:

@@ -16,6 +16,7 @@ from services.dashboard.blueprint import blueprint_of
 from services.dashboard.body import BodyPanel
 from services.dashboard.canvas import Due, Panel
 from services.dashboard.config import DashboardOptions, created_secs, options_of, past_scores
+from services.dashboard.goals import GoalsPanel
 from services.dashboard.latent_book import LatentBook
 from services.dashboard.latents import LatentsPanel
 from services.dashboard.learning import LearningPanel
@@ -25,6 +26,7 @@ from services.dashboard.phase import PhasePanel
 from services.dashboard.recording import Recording
 from services.dashboard.roster import News, Roster
 from services.dashboard.system import SystemPanel
+from services.dashboard.tree import Tree
 from services.dashboard.web_server import WebServer
 from services.runtime.bus import Frame, Inbox, Link, Membership
 from services.runtime.phases import phase_words
@@ -52,7 +54,7 @@ class Dashboard:
     def __init__(self, context: Context) -> None:
         settings, options = context.settings, options_of(context.options)
         self._context = context
-        self._created_secs = created_secs(context.run_dir)
+        self._created_secs, tree = created_secs(context.run_dir), Tree(settings)
         self._gate = Gate(context.run, {"view", "status", "phase"})
         self._books = {block.name: LatentBook(block.name, block.latent_dim) for block in settings.block}
         self._roster = Roster(settings.wire.status_secs)
@@ -60,13 +62,14 @@ class Dashboard:
         self._ledger_due = Due(LEDGER_SECS)
         self._roster.ledger.read(self._ledger_path)
         self._body = BodyPanel(settings)
-        self._learning = LearningPanel(self._books)
+        self._learning = LearningPanel(self._books, tree.levels)
         self._learning.recall(past_scores(context.run_dir))
-        self._phase = PhasePanel(self._roster, self._books, settings.phases.iterations)
+        self._phase = PhasePanel(self._roster, self._books, settings)
         panels: list[Panel] = [
             self._phase,
             LatentsPanel(self._books),
             MeasuresPanel(self._books),
+            GoalsPanel(tree, self._books),
             self._body,
             self._learning,
             SystemPanel(self._roster),
@@ -107,7 +110,7 @@ class Dashboard:
     def _listen(self) -> None:
         """The inboxes ring nobody: what they hold is looked at ten times a second, however much comes."""
         context, delivery = self._context, keys.DELIVERY
-        self._views = Inbox(max_frames=delivery["view"].keep, max_bytes=MAX_VIEW_BYTES)
+        self._views = Inbox(max_frames=delivery["view"].keep * len(self._books), max_bytes=MAX_VIEW_BYTES)
         self._statuses = Inbox(max_frames=delivery["status"].keep)
         self._control = Inbox(max_frames=delivery["status"].keep)
         context.bus.subscribe("phase", keys.phase(context.run), self._control)

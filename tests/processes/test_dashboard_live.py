@@ -21,10 +21,12 @@ from services.dashboard.config import created_secs
 from services.dashboard.viewer_files import quiet_environment, rerun_program
 from services.launcher.run_folder import config_text
 from services.runtime.bus import Frame, Inbox
+from services.runtime.settings import RunSettings
 from services.runtime.zenoh_bus import ZenohBus
 from tests.processes.owned import Owner, Process, RunningRouter, free_port, wait_for
 from tests.unit.dashboard_feed import RUN, Feed, announced, key_of, settings_of
 from tests.unit.dashboard_reading import parts_of, states
+from tests.unit.dashboard_trees import HAND, tree_settings
 
 pytestmark = pytest.mark.processes
 
@@ -33,7 +35,7 @@ CREATED_AGO_SECS = 60.0
 BUSY_SECS = 60.0
 """So long may a step take on a busy machine."""
 HISTORY_VIEWS = 40
-"""views of actors that are drawn before the viewer joins"""
+"""views of each block that are drawn before the viewer joins"""
 SHOT_PX = 960
 """longest side of the screenshot"""
 
@@ -90,20 +92,33 @@ def viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ViewerCl
         yield client
 
 
+SHOWN = {
+    "one block": (settings_of(3), "/latent/block/now"),
+    "a tree": (tree_settings(HAND, hand=3), "/goals/tree/discs"),
+}
+"""Runs with a block of three vertices, and what is seen of them at first."""
+
+
+@pytest.fixture(params=SHOWN)
+def shown(request: pytest.FixtureRequest) -> tuple[RunSettings, str]:
+    """A run's settings, and an entity of its first tab."""
+    return SHOWN[request.param]
+
+
 @pytest.fixture
-def play(connect: Callable[[str], ZenohBus]) -> Iterator[Play]:
-    """A run of three actors with a block of three vertices."""
-    playing = Play(connect("everybody"), Feed(settings_of(3), actors=3))
+def play(connect: Callable[[str], ZenohBus], shown: tuple[RunSettings, str]) -> Iterator[Play]:
+    """A run of three actors."""
+    playing = Play(connect("everybody"), Feed(shown[0], actors=3))
     yield playing
     playing.stop()
 
 
-def run_folder(path: Path) -> Path:
+def run_folder(path: Path, settings: RunSettings) -> Path:
     """A run's folder, made a minute ago."""
     path.mkdir()
     created = datetime.now(UTC) - timedelta(seconds=CREATED_AGO_SECS)
     (path / "run.json").write_text(json.dumps({"run": RUN, "created": created.isoformat()}))
-    (path / "config.toml").write_text(config_text(settings_of(3)))
+    (path / "config.toml").write_text(config_text(settings))
     return path
 
 
@@ -129,10 +144,21 @@ def end_secs(viewer: ViewerClient) -> float:
     return max((line.end or 0) / 1e9 for line in timelines if line.name == "run_time") if timelines else 0.0
 
 
+def entities_in(viewer: ViewerClient, store_id: str) -> set[str]:
+    """The paths that the viewer has of a recording."""
+    return {entity.entity_path for entity in viewer.get_recording_schema(store_id, paths_only=True).entities}
+
+
 def test_a_viewer_that_joins_late_sees_history_and_what_is_new(
-    owner: Owner, router: RunningRouter, play: Play, tmp_path: Path, viewer: ViewerClient
+    owner: Owner,
+    router: RunningRouter,
+    play: Play,
+    shown: tuple[RunSettings, str],
+    tmp_path: Path,
+    viewer: ViewerClient,
 ) -> None:
-    folder = run_folder(tmp_path / "run")
+    settings, entity = shown
+    folder = run_folder(tmp_path / "run", settings)
     port = free_port()
     dashboard = owner.start_service(
         *("dashboard", "--run-dir", str(folder), "--connect", router.endpoint),
@@ -140,7 +166,7 @@ def test_a_viewer_that_joins_late_sees_history_and_what_is_new(
     )
     line_of(dashboard, r"the dashboard is at (http://127\.0\.0\.1:\d+)")
     line_of(dashboard, "ready in run")
-    wait_for("some history", lambda: play.drawn() >= HISTORY_VIEWS, BUSY_SECS)
+    wait_for("some history", lambda: play.drawn() >= HISTORY_VIEWS * len(settings.block), BUSY_SECS)
     joined_secs = run_secs(folder)
     viewer.open(f"rerun+http://127.0.0.1:{port}/proxy")
     wait_for("rows newer than its joining", lambda: end_secs(viewer) > joined_secs + 1.0, BUSY_SECS)
@@ -151,8 +177,8 @@ def test_a_viewer_that_joins_late_sees_history_and_what_is_new(
     assert run_time.start is not None
     assert CREATED_AGO_SECS < run_time.start / 1e9 < joined_secs - 1.0, "what was before is there too"
     assert recording.current_timeline == "run_time"
-    entities = {entity.entity_path for entity in viewer.get_recording_schema(recording.store_id).entities}
-    assert {"/latent/block/now", "/state/phase", "/members/a2", "/system/steps_per_sec/a0"} <= entities
+    expected = {entity, "/state/phase", "/members/a2", "/system/steps_per_sec/a0"}
+    wait_for("entities", lambda: expected <= entities_in(viewer, recording.store_id), BUSY_SECS)
     views = viewer.get_state().views
     assert len(views) > 20
     assert [view.reports for view in views if view.reports] == []

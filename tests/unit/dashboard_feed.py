@@ -137,7 +137,8 @@ class Feed:
         work = Progress(block=block, done=self._updates * 400, wanted=100_000, unit="steps")
         for service in ("encoder_learner", "policy_learner"):
             yield self._status(
-                service, f"{service}-1", phase, term, totals=totals, metrics=metrics, progress=[work],
+                service, f"{service}-1", phase, term, totals=totals, progress=[work],
+                metrics={name: value for name, value in metrics.items() if name.split("/")[1] in service},
                 versions={f"encoder/{block}": 2, f"policy/{block}": self._updates},
             )  # fmt: skip
         yield self._status(
