@@ -2,30 +2,30 @@
 
 import numpy as np
 
-from babble.policy.act import EncoderModel
 from babble.worlds import World
 from babble.worlds.batch import PointWorld
 from services.launcher import figures, posture_figures, posture_map
-from services.launcher.evaluate import Rollout, Version
+from services.launcher.evaluate import Rollout, Version, latents_at
 from services.launcher.figures import Ends, picture
 from services.launcher.posture_map import CELLS, MOST_VISITED, Map
 
 EYELESS = "The poses that were reached are not pictured: {}."
 
 
-def pictures_of(
-    rollout: Rollout, version: Version, encoder: EncoderModel, ends: Ends, world: World
-) -> list[str]:
+def pictures_of(rollout: Rollout, version: Version, ends: Ends, world: World) -> list[str]:
     """Draw where a block's goals lead and what its encoder makes of the world; `world` has one copy.
+
+    The encoder of a block with children sees the world through theirs.
 
     Raises `StorageError`.
     """
     if isinstance(world, PointWorld):
-        return _of_points(rollout, version, encoder, ends, world)
+        return _of_points(rollout, version, ends, world)
+    moved = ends.cut(rollout.parts[version.block].components)
     return [
-        *_of_body(rollout, version, world),
-        *_of_map(rollout, version, encoder, ends, world),
-        *_of_postures(rollout, version, ends, world),
+        *of_body(rollout, version, world),
+        *_of_map(rollout, version, moved, world),
+        *_of_postures(rollout, version, moved, world),
     ]
 
 
@@ -33,13 +33,11 @@ def _named(rollout: Rollout, version: Version) -> str:
     return f"{rollout.run.settings.world.id}, block {version.block}, iteration {version.iteration}"
 
 
-def _of_points(
-    rollout: Rollout, version: Version, encoder: EncoderModel, ends: Ends, world: PointWorld
-) -> list[str]:
+def _of_points(rollout: Rollout, version: Version, ends: Ends, world: PointWorld) -> list[str]:
     block, folder, name = version.block, rollout.run.folder / "figures", _named(rollout, version)
     points = world.uniform_points(figures.MAP_POINTS, np.random.default_rng(0))
     figures.draw_world(folder / f"{block}-world.png", world.body, ends, f"{name}: where goals lead")
-    latent = encoder.latent(points[:, rollout.run.tree(world).observed(block)])
+    latent = latents_at(rollout.tree, rollout.models, block, points.astype(np.float32))
     figures.draw_latent(folder / f"{block}-latent.png", world.body, points, latent, f"{name}: the latent map")
     return [
         *picture(
@@ -55,7 +53,7 @@ def _of_points(
     ]
 
 
-def _of_body(rollout: Rollout, version: Version, world: World) -> list[str]:
+def of_body(rollout: Rollout, version: Version, world: World) -> list[str]:
     """Pictures of the body itself; none for what is no simulated body, a sentence where none can be drawn."""
     if rollout.states is None:
         return []
@@ -79,14 +77,15 @@ def _of_body(rollout: Rollout, version: Version, world: World) -> list[str]:
     )
 
 
-def _of_map(rollout: Rollout, version: Version, encoder: EncoderModel, ends: Ends, world: World) -> list[str]:
-    block, path = version.block, rollout.path
+def _of_map(rollout: Rollout, version: Version, ends: Ends, world: World) -> list[str]:
+    block = version.block
+    path = rollout.path[..., rollout.parts[block].components]
     flat = path[:-1].reshape(-1, path.shape[2])
     every = max(1, len(flat) // MOST_VISITED)
     visited = flat[::every]
     plane = posture_map.plane_of(ends, visited)
     place, reach = posture_map.cells(plane, ends, visited)
-    posed = _posed(rollout, block, encoder, world, plane.at(place))
+    posed = _posed(rollout, block, world, plane.at(place))
     if posed is None:
         latent = rollout.latent[block].reshape(len(flat), -1)[::every]
         drawn = Map(plane, plane.of(visited), latent, None, reach)
@@ -104,10 +103,11 @@ def _of_map(rollout: Rollout, version: Version, encoder: EncoderModel, ends: End
     )
 
 
-def _posed(
-    rollout: Rollout, block: str, encoder: EncoderModel, world: World, postures: np.ndarray
-) -> np.ndarray | None:
-    """(N, d) latents of postures (N, p), NaN beyond the joints' limits; None where that cannot be known."""
+def _posed(rollout: Rollout, block: str, world: World, postures: np.ndarray) -> np.ndarray | None:
+    """(N, d) latents of postures (N, q) of what a block moves, the rest of the body in the middle.
+
+    NaN beyond the joints' limits; None where that cannot be known.
+    """
     if rollout.states is None:
         return None
     from babble.worlds.physics.world import MujocoWorld
@@ -115,21 +115,29 @@ def _posed(
 
     if not isinstance(world, MujocoWorld) or not is_posable(world):
         return None
-    latent = np.full((len(postures), encoder.latent_dim), np.nan)
+    latent = np.full((len(postures), rollout.models[block].encoder.latent_dim), np.nan)
     possible = np.abs(postures).max(axis=1) <= 1
     if possible.any():
-        observation = sensed(world.blueprint, postures[possible].astype(np.float32))
-        seen = rollout.run.tree(world).observed(block)
-        latent[possible] = encoder.latent(observation[:, seen].astype(np.float32))
+        whole = np.zeros((int(possible.sum()), world.posture_size), np.float32)
+        whole[:, rollout.parts[block].components] = postures[possible]
+        observation = sensed(world.blueprint, whole).astype(np.float32)
+        latent[possible] = latents_at(rollout.tree, rollout.models, block, observation)
     return latent
+
+
+def names_of(rollout: Rollout, block: str, world: World) -> list[str]:
+    """Of the joints that a block moves; empty where they have none."""
+    names = world.posture_names
+    return [names[component] for component in rollout.parts[block].components] if names else []
 
 
 def _of_postures(rollout: Rollout, version: Version, ends: Ends, world: World) -> list[str]:
     block, folder, name = version.block, rollout.run.folder / "figures", _named(rollout, version)
     path = folder / f"{block}-postures.png"
-    posture_figures.draw_postures(path, ends, world.posture_names, f"{name}: where goals lead")
+    posture_figures.draw_postures(path, ends, names_of(rollout, block, world), f"{name}: where goals lead")
     latent, goal = rollout.latent[block], rollout.legs[block].goal
-    posture_figures.draw_way(folder / f"{block}-way.png", latent, goal, f"{name}: the latent on the way")
+    way, title = folder / f"{block}-way.png", f"{name}: the latent on the way"
+    posture_figures.draw_way(way, latent, goal, title, rollout.env_steps_per_row)
     return [
         *picture(
             f"{block}-postures",

@@ -53,7 +53,7 @@ def choose(rollout: Rollout, block: str, same: NDArray[np.bool_]) -> list[list[R
         there = np.argwhere((legs.goal == vertex) & same)
         if not len(there):
             continue
-        posture = legs.posture[there[:, 0], there[:, 1]]
+        posture = legs.posture[there[:, 0], there[:, 1]][:, rollout.parts[block].components]
         order = np.linalg.norm(posture - posture.mean(axis=0), axis=1).argsort(kind="stable")
         typical = there[order[0]]
         others = [place for place in there.tolist() if place[1] != typical[1]]

@@ -20,8 +20,18 @@ MOST_ITERATIONS = 20
 
 
 def print_scores(folder: RunFolder) -> None:
-    """The scores in the run's folder, and which iteration is kept. Raises `UserError` if they are damaged."""
+    """The scores in the run's folder, which iteration is kept, and how many blocks of a tree reach the bar.
+
+    Raises `UserError` if they are damaged.
+    """
     print_rows(folder.scores(), folder.best(), f"{folder.shown}/scores.jsonl")
+    if len((settings := folder.settings()).block) > 1:
+        # Worlds and what reads their models take their time, which runs of one block do not need.
+        from services.launcher.judging import tree_words
+        from services.launcher.scored_run import open_run
+
+        names = [block.name for block in settings.block]
+        _print_sentence(tree_words(names, open_run(folder.path).kept_scores()))
 
 
 def print_rows(rows: Sequence[Row], best: Mapping[str, Row], where: str) -> None:
@@ -30,9 +40,13 @@ def print_rows(rows: Sequence[Row], best: Mapping[str, Row], where: str) -> None
     print("\n".join(score_table(shown)))
     if len(shown) < len(rows):
         print(f"{len(rows) - len(shown):,} older rows are in {where}")
-    width = min(MOST_COLUMNS, shutil.get_terminal_size().columns)
     for sentence in best_words(best):
-        print(textwrap.fill(sentence, width, subsequent_indent="  "), flush=True)
+        _print_sentence(sentence)
+
+
+def _print_sentence(sentence: str) -> None:
+    width = min(MOST_COLUMNS, shutil.get_terminal_size().columns)
+    print(textwrap.fill(sentence, width, subsequent_indent="  "), flush=True)
 
 
 def say_how_to_see_it(folder: RunFolder) -> None:

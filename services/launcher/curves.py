@@ -137,6 +137,8 @@ def read_curves(metrics: Iterable[Record]) -> Curves:
     return curves
 
 
-def clock(timeline: Timeline, phases: Sequence[Phase]) -> Clock:
-    """The time in these phases."""
-    return Clock([span for span in timeline.spans if span.announced.phase in phases], timeline)
+def clock(timeline: Timeline, phases: Sequence[Phase], level: int | None = None) -> Clock:
+    """The time in these phases, of one level or of all."""
+    announced = [(span, span.announced) for span in timeline.spans]
+    of_level = [span for span, term in announced if term.phase in phases and level in (None, term.level)]
+    return Clock(of_level, timeline)

@@ -1,31 +1,48 @@
 """What a run's saved models can do, measured in fresh worlds from random starts; no training data is used.
 
-Only what a run folder holds is needed: `run.json`, `config.toml`, `scores.jsonl` (which versions each
-iteration had) and `models/`.
+The blocks of one level act at once. Those of a level above 0 act through the blocks below them, each of
+which does what it does in the iteration that is kept of it.
 """
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
-from babble.blocks import BlockError, BlockTree
+from babble.blocks import BlockTree
 from babble.breakdowns import UnstableError
-from babble.landmarks import Landmark
+from babble.levels import BlockModels, Stage, stage_of
+from babble.limbs import blocks_below
+from babble.parts import Part, part_of_block
 from babble.policy.act import EncoderModel, ModelError, PolicyModel
-from babble.scores import REACHED, Legs, Walk, Walker, landmarks_of, score
-from babble.worlds import World, WorldError, make
+from babble.scores import Encodes, Legs, Walk, Walker, score
+from babble.worlds import World
 from babble.worlds.batch import PointWorld
-from protocol.messages import Phase, Score
-from services.launcher.run_folder import RunFolder
-from services.runtime.errors import UserError
+from protocol.messages import Score
+from services.launcher.judging import measures, shortfalls
+from services.launcher.scored_run import Run, RunError, Version, open_run
 from services.runtime.models import model_path
-from services.runtime.settings import RunSettings
+
+__all__ = [
+    "COLUMNS",
+    "MODES",
+    "Mode",
+    "Rollout",
+    "Run",
+    "RunError",
+    "Version",
+    "evaluate",
+    "latents_at",
+    "load_models",
+    "measures",
+    "open_run",
+    "roll_out",
+    "rolled_out",
+    "shortfalls",
+]
 
 Floats = NDArray[np.float32]
 Mode = Literal["mean", "sampled"]
@@ -33,114 +50,6 @@ AnyModel = TypeVar("AnyModel", EncoderModel, PolicyModel)
 MODES: tuple[Mode, ...] = ("mean", "sampled")
 COLUMNS = 64
 """Fresh worlds in one evaluation, unless told otherwise."""
-
-
-class RunError(UserError):
-    """A run folder that cannot be scored; the text is one sentence for a person."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Version:
-    """The models of one block after one iteration."""
-
-    block: str
-    iteration: int
-    phase: Phase
-    encoder: int
-    policy: int
-
-
-@dataclass(frozen=True)
-class Models:
-    """An encoder and a policy trained on it."""
-
-    encoder: EncoderModel
-    policy: PolicyModel
-
-
-@dataclass(frozen=True, kw_only=True)
-class Run:
-    """A run folder as `babble up` left it, or as far as it got."""
-
-    folder: Path
-    shown: str
-    """The folder as a person here would type it."""
-    name: str
-    settings: RunSettings
-    scores: tuple[Score, ...]
-    """What was measured during the run, in its order."""
-    best: Mapping[str, int]
-    """The iteration that each block keeps; empty before the first evaluation."""
-
-    @property
-    def blocks(self) -> list[str]:
-        """The blocks that were evaluated, in the order of the settings."""
-        evaluated = {row.block for row in self.scores}
-        return [block.name for block in self.settings.block if block.name in evaluated]
-
-    def versions(self, block: str) -> dict[int, Version]:
-        """The evaluated iterations of a block, in ascending order."""
-        return {
-            row.iteration: Version(
-                block=block,
-                iteration=row.iteration,
-                phase=row.phase,
-                encoder=row.encoder_version,
-                policy=row.policy_version,
-            )
-            for row in sorted(self.scores, key=lambda row: row.iteration)
-            if row.block == block
-        }
-
-    def version(self, block: str, iteration: int | None = None) -> Version:
-        """One iteration of a block: the kept one, or else the newest, if none is named. Raises `RunError`."""
-        known = self.versions(block)
-        if not known:
-            raise RunError(
-                f"{self.shown} has no evaluated models of block {block} yet; let the run reach its first "
-                f"evaluation (`babble up --resume {self.shown}`)"
-            )
-        wanted = self.best.get(block, max(known)) if iteration is None else iteration
-        if wanted not in known:
-            there = ", ".join(map(str, known))
-            raise RunError(f"{self.shown} has no iteration {wanted} of block {block}; it has {there}")
-        return known[wanted]
-
-    def iterations(self) -> list[list[Version]]:
-        """The versions of each iteration, which acted at the same time, in ascending order."""
-        by_block = [self.versions(block) for block in self.blocks]
-        numbers = sorted({number for versions in by_block for number in versions})
-        return [[versions[number] for versions in by_block if number in versions] for number in numbers]
-
-    def world(self, columns: int, seed: Sequence[int]) -> World:
-        """Fresh copies of the run's world. Raises `RunError`."""
-        try:
-            return make(self.settings.world.id, self.settings.world.parameters, columns, seed)
-        except WorldError as error:
-            raise RunError(f"{self.shown}/config.toml: {error}") from None
-
-    def tree(self, world: World) -> BlockTree:
-        """The run's blocks on that world. Raises `RunError`."""
-        try:
-            return BlockTree.of(self.settings.block, world.observation_size, world.action_size)
-        except BlockError as error:
-            raise RunError(f"{self.shown}/config.toml: {error}") from None
-
-
-def open_run(where: str | Path) -> Run:
-    """The run in a folder, or of that name under runs/.
-
-    Raises `RunFolderError`, `SettingsError` or `RunError`.
-    """
-    found = RunFolder.find(str(where))
-    return Run(
-        folder=found.path,
-        shown=found.shown,
-        name=found.run,
-        settings=found.settings(),
-        scores=_read_scores(found.path),
-        best=read_best(found.path),
-    )
 
 
 def evaluate(
@@ -151,16 +60,26 @@ def evaluate(
     columns: int = COLUMNS,
     modes: Sequence[Mode] = MODES,
 ) -> list[Score]:
-    """Scores of the saved models of level-0 blocks that act at once, a row per mode and block.
+    """Scores of the saved models of one level's blocks, which act at once: a row per mode and block.
 
     Raises `RunError`.
     """
+    rollouts = rolled_out(run, versions, seed=seed, columns=columns, modes=modes)
+    return [row for rollout in rollouts for row in rollout.scores()]
+
+
+def rolled_out(
+    run: Run,
+    versions: Sequence[Version],
+    *,
+    seed: int = 0,
+    columns: int = COLUMNS,
+    modes: Sequence[Mode] = MODES,
+) -> Iterator["Rollout"]:
+    """The saved models of one level's blocks, rolled out in each mode. Raises `RunError`."""
     models = {version.block: load_models(run, version) for version in versions}
-    return [
-        row
-        for mode in modes
-        for row in roll_out(run, versions, models, seed=seed, columns=columns, mode=mode).scores()
-    ]
+    for mode in modes:
+        yield roll_out(run, versions, models, seed=seed, columns=columns, mode=mode)
 
 
 @dataclass(frozen=True)
@@ -172,56 +91,65 @@ class Rollout:
     mode: Mode
     legs: Mapping[str, Legs]
     path: Floats
-    """(1 + legs * leg_steps, E, p) every posture, from the start"""
+    """(1 + legs * leg_rows, E, p) every posture, from the start"""
     latent: Mapping[str, Floats]
-    """by block, (legs * leg_steps, E, d) what each step was taken at"""
+    """by block, (legs * leg_rows, E, d) what each step was taken at"""
+    arrived: Mapping[str, Floats]
+    """by block with children, (legs, E, n) its children's latents at the end of each leg"""
     states: NDArray[np.float64] | None
     """(legs, E, s) the bodies as MuJoCo has them after each leg; None for worlds without one. A copy whose
     episode ended with the leg has begun a new one there"""
-    diameter: float
-    crossing_axis: int | None
-    landmarks: tuple[Landmark, ...]
+    leg_rows: int
+    """actions in a leg"""
+    env_steps_per_row: int
+    """for which an action is held"""
+    tree: BlockTree
+    models: Mapping[str, BlockModels]
+    """of all blocks that acted"""
+    parts: Mapping[str, Part]
+    """by block, what it moves: of those that acted and of their children"""
 
     def scores(self) -> list[Score]:
-        """A row per block."""
-        return [
-            Score(
-                run=self.run.name,
-                block=version.block,
-                iteration=version.iteration,
-                phase=version.phase,
-                policy=self.mode,
-                steps=self.legs[version.block].goal.size * self.run.settings.evaluation.leg_steps,
-                encoder_version=version.encoder,
-                policy_version=version.policy,
-                **score(self.legs[version.block], self.diameter, self.crossing_axis, self.landmarks),
-            )
-            for version in self.versions
-        ]
+        """A row per block; steps are environment steps."""
+        return [self._score(version) for version in self.versions]
+
+    def _score(self, version: Version) -> Score:
+        legs, part = self.legs[version.block], self.parts[version.block]
+        return Score(
+            run=self.run.name,
+            block=version.block,
+            iteration=version.iteration,
+            phase=version.phase,
+            policy=self.mode,
+            steps=legs.goal.size * self.leg_rows * self.env_steps_per_row,
+            encoder_version=version.encoder,
+            policy_version=version.policy,
+            **score(part.cut(legs), part.diameter, part.crossing_axis, part.landmarks),
+        )
 
 
 def roll_out(
     run: Run,
     versions: Sequence[Version],
-    models: Mapping[str, Models],
+    models: Mapping[str, BlockModels],
     *,
     seed: int = 0,
     columns: int = COLUMNS,
     mode: Mode = "mean",
 ) -> Rollout:
-    """Roll out any models that fit the run; `versions` name them in the scores. Raises `RunError`."""
-    world = run.world(columns, [seed, 6, 0])
-    tree = run.tree(world)
-    if missing := [spec.name for spec in tree.level(0) if spec.name not in models]:
-        raise RunError(
-            f"{run.shown} has no models of block {missing[0]} to act beside {', '.join(models)}; the "
-            "blocks of level 0 are scored together"
-        )
-    walkers = {
-        name: Walker(held.encoder, held.policy, tree.observed(name), tree.driven(name))
-        for name, held in models.items()
-    }
-    walk, states = _walked(run, world, walkers, np.random.default_rng([seed, 6, 1]), mode)
+    """Roll out any models that fit one level of the run; `versions` name them in the scores.
+
+    The blocks below act as they are kept. Raises `RunError`.
+    """
+    body, tree = run.world(columns, [seed, 6, 0]), run.tree
+    level = tree.level_of(versions[0].block)
+    acting = _acting(run, tree, level, models)
+    stage = _stage(run, body, tree, level, acting)
+    walkers = {block: _walker(stage, tree, block, acting[block]) for block in stage.observed}
+    leg_rows = max(1, run.settings.of_level(level).evaluation.leg_steps // stage.env_steps_per_step)
+    walk = _walk(run, stage, walkers, np.random.default_rng([seed, 6, 1]), level, leg_rows, mode)
+    states, arrived = _walked(run, walk, body, walkers, leg_rows)
+    children = [child for block in walkers for child in tree.specs[block].children]
     return Rollout(
         run=run,
         versions=versions,
@@ -229,34 +157,107 @@ def roll_out(
         legs=walk.legs(),
         path=np.stack(walk.path.posture),
         latent={block: np.stack(latents) for block, latents in walk.path.latent.items()},
+        arrived=arrived,
         states=states,
-        diameter=world.diameter,
-        crossing_axis=world.crossing_axis,
-        landmarks=landmarks_of(world, tree),
+        leg_rows=leg_rows,
+        env_steps_per_row=stage.env_steps_per_step,
+        tree=tree,
+        models=acting,
+        parts={block: part_of_block(body, tree, block) for block in [*walkers, *children]},
     )
 
 
-def _walked(
-    run: Run, world: World, walkers: Mapping[str, Walker], rng: np.random.Generator, mode: Mode
-) -> tuple[Walk, NDArray[np.float64] | None]:
-    """A whole walk, and the states of the bodies after each leg."""
-    plan = run.settings.evaluation
+def _acting(
+    run: Run, tree: BlockTree, level: int, models: Mapping[str, BlockModels]
+) -> dict[str, BlockModels]:
+    """The given models of a level's blocks, and the kept ones of all blocks below. Raises `RunError`."""
+    at_work = [spec.name for spec in tree.level(level)]
+    if missing := [name for name in at_work if name not in models]:
+        raise RunError(
+            f"{run.shown} has no models of block {missing[0]} to act beside {', '.join(models)}; the "
+            f"blocks of level {level} are scored together"
+        )
+    below = blocks_below(tree, at_work)
+    kept = {name: load_models(run, run.version(name)) for name in tree.specs if name in below}
+    return {**kept, **models}
+
+
+def _walker(stage: Stage, tree: BlockTree, block: str, models: BlockModels) -> Walker:
+    encoder = _Hearing(models.encoder) if tree.specs[block].children else models.encoder
+    return Walker(encoder, models.policy, stage.observed[block], stage.driven[block])
+
+
+def _stage(run: Run, body: World, tree: BlockTree, level: int, models: Mapping[str, BlockModels]) -> Stage:
+    settings = run.settings
     try:
-        # A sense may find only now that it has no renderer.
-        walk = Walk(world, walkers, rng, plan.legs, plan.leg_steps, mode, traced=True)
+        return stage_of(
+            body,
+            tree,
+            level,
+            models,
+            decision_steps=settings.decision_steps,
+            subgoals={name: settings.of_block(name).policy.subgoals for name in tree.specs},
+        )
     except ValueError as error:
         raise RunError(f"{run.shown} cannot be rolled out here: {error}") from None
+
+
+class _Hearing:
+    """The encoder of a block with children, which keeps what it was last asked about."""
+
+    def __init__(self, encoder: Encodes) -> None:
+        self.latent_dim = encoder.latent_dim
+        self.last = np.zeros((0, 0), np.float32)
+        """(E, n)"""
+        self._encoder = encoder
+
+    def latent(self, observation: Floats) -> Floats:
+        """(E, n) -> (E, d)"""
+        self.last = observation
+        return self._encoder.latent(observation)
+
+
+def _walk(
+    run: Run,
+    stage: Stage,
+    walkers: Mapping[str, Walker],
+    rng: np.random.Generator,
+    level: int,
+    leg_rows: int,
+    mode: Mode,
+) -> Walk:
+    legs = run.settings.of_level(level).evaluation.legs
+    try:
+        # A sense may find only now that it has no renderer.
+        return Walk(stage.world, walkers, rng, legs, leg_rows, mode, traced=True)
+    except ValueError as error:
+        raise RunError(f"{run.shown} cannot be rolled out here: {error}") from None
+
+
+def _walked(
+    run: Run, walk: Walk, body: World, walkers: Mapping[str, Walker], leg_rows: int
+) -> tuple[NDArray[np.float64] | None, dict[str, Floats]]:
+    """Walks to the end; the states of the bodies, and what blocks with children observe, after each leg."""
+    heard = {
+        block: walker.encoder for block, walker in walkers.items() if isinstance(walker.encoder, _Hearing)
+    }
     states: dict[int, NDArray[np.float64]] = {}
+    arrived: dict[str, dict[int, Floats]] = {block: {} for block in heard}
     try:
         while not walk.done:
             walk.advance(1)
             # Not walk.steps: when a simulation breaks down, the walk and its path begin again.
-            leg, within = divmod(len(walk.path.posture) - 1, plan.leg_steps)
-            if leg and not within and (state := _states(world)) is not None:
+            leg, within = divmod(len(walk.path.posture) - 1, leg_rows)
+            if not leg or within:
+                continue
+            if (state := _states(body)) is not None:
                 states[leg] = state
+            for block, encoder in heard.items():
+                arrived[block][leg] = encoder.last
     except UnstableError as error:
         raise RunError(f"{run.shown} cannot be rolled out: {error}") from None
-    return walk, np.stack([states[leg] for leg in sorted(states)]) if states else None
+    in_order = {block: np.stack([ends[leg] for leg in sorted(ends)]) for block, ends in arrived.items()}
+    return np.stack([states[leg] for leg in sorted(states)]) if states else None, in_order
 
 
 def _states(world: World) -> NDArray[np.float64] | None:
@@ -269,11 +270,15 @@ def _states(world: World) -> NDArray[np.float64] | None:
     return states_of(world)
 
 
-def load_models(run: Run, version: Version) -> Models:
+def latents_at(tree: BlockTree, models: Mapping[str, BlockModels], block: str, observation: Floats) -> Floats:
+    """(E, d) of a block where the body observes (E, n): of one with children through theirs (eq. 14)."""
+    below = {child: latents_at(tree, models, child, observation) for child in tree.specs[block].children}
+    return models[block].encoder.latent(tree.observation_of(block, observation, below))
+
+
+def load_models(run: Run, version: Version) -> BlockModels:
     """The saved models of one iteration, their sizes checked against the run's world. Raises `RunError`."""
-    tree = run.tree(run.world(1, [0]))
-    if tree.specs[version.block].children:
-        raise RunError(f"block {version.block} has children, and blocks above level 0 are not scored yet")
+    tree = run.tree
     latent_dim = tree.specs[version.block].latent_dim
     path = model_path(run.folder, version.block, "encoder", version.encoder)
     encoder = _open(path, EncoderModel)
@@ -283,42 +288,7 @@ def load_models(run: Run, version: Version) -> Models:
     policy = _open(path, PolicyModel)
     _same(path, "latent dimension", policy.latent_dim, latent_dim)
     _same(path, "action size", policy.action_size, tree.action_size_of(version.block))
-    return Models(encoder, policy)
-
-
-def measures(row: Score) -> dict[str, float]:
-    """What success is asked of.
-
-    Where the body has landmarks, z_min and each landmark; elsewhere separation, z_min and, where there
-    are two halves, crossing. services/coordinator/best.py decides by the same.
-    """
-    if row.landmarks:
-        return {"z_min": row.z_min, **row.landmarks}
-    crossing = {} if row.crossing is None else {"crossing": row.crossing}
-    return {"separation": row.separation, "z_min": row.z_min, **crossing}
-
-
-def score_columns(rows: Sequence[Score]) -> dict[str, list[float | None]]:
-    """Measure -> its value in each row; a measure that no row has is left out."""
-    fields = ("separation", "separation_worst", "z_min", "z_goal", "switch_success", "crossing")
-    landmarks = list(dict.fromkeys(name for row in rows for name in row.landmarks))
-    columns = {name: [getattr(row, name) for row in rows] for name in fields}
-    columns |= {name: [row.landmarks.get(name) for row in rows] for name in landmarks}
-    columns["external_reward"] = [row.external_reward for row in rows]
-    return {name: values for name, values in columns.items() if any(value is not None for value in values)}
-
-
-def shortfalls(row: Score) -> list[str]:
-    """What keeps a row from counting as success, for a person: "z_min 0.83 < 0.9"; empty when it is one."""
-    return [
-        f"{name} {_below_bar(value)} < {REACHED}" for name, value in measures(row).items() if value < REACHED
-    ]
-
-
-def _below_bar(value: float) -> str:
-    """The value with as many digits as it takes to see that it is below the bar."""
-    texts = (f"{value:.{digits}f}" for digits in (2, 3, 4, 6))
-    return next((text for text in texts if float(text) < REACHED), repr(value))
+    return BlockModels(encoder, policy)
 
 
 def _open(path: Path, kind: type[AnyModel]) -> AnyModel:
@@ -335,28 +305,3 @@ def _same(path: Path, what: str, found: int, expected: int) -> None:
         raise RunError(
             f"{path} is a model of another run: its {what} is {found}, and this run's world needs {expected}"
         )
-
-
-def _read_scores(folder: Path) -> tuple[Score, ...]:
-    """The rows of `scores.jsonl`; a last line without its end is still being written."""
-    path = folder / "scores.jsonl"
-    lines = path.read_bytes().split(b"\n")[:-1] if path.is_file() else []
-    rows = []
-    for number, line in enumerate(lines, start=1):
-        try:
-            rows.append(Score.model_validate_json(line))
-        except ValidationError:
-            raise RunError(f"{path}: line {number} is not a score; restore the file from a copy") from None
-    return tuple(rows)
-
-
-def read_best(folder: Path) -> dict[str, int]:
-    """Block -> the iteration that is kept; empty before the first. Raises `RunError`."""
-    path = folder / "best.json"
-    if not path.is_file():
-        return {}
-    try:
-        table = json.loads(path.read_bytes())
-        return {str(block): int(row["iteration"]) for block, row in table.items()}
-    except (ValueError, TypeError, KeyError, AttributeError):
-        raise RunError(f"{path} is damaged; `babble up --resume {folder}` writes it anew") from None

@@ -2,7 +2,7 @@
 
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +47,15 @@ class Ends:
     first_way: Array
     """(E, T + 1, p) the postures of the first leg, from a random start"""
     latent_dim: int
+
+    def cut(self, components: Array) -> "Ends":
+        """The same of some components of the posture alone."""
+        return replace(
+            self,
+            posture=self.posture[:, components],
+            way=self.way[..., components],
+            first_way=self.first_way[..., components],
+        )
 
 
 def vertex_colours(count: int) -> Sequence[str]:

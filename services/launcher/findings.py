@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from babble.worlds import World
 from babble.worlds.batch import PointWorld
 from protocol.messages import Score
-from services.launcher.evaluate import Rollout, Run, Version, load_models, roll_out, shortfalls
+from services.launcher.evaluate import Rollout
+from services.launcher.judging import shortfalls
+from services.launcher.scored_run import Run, Version
 
 if TYPE_CHECKING:
     from services.launcher.figures import Ends
@@ -21,6 +23,7 @@ PLACES = {
     "Dumbbell": "the outer ends of both lobes",
 }
 """What a Composer with two vertices should find (thesis 4.1)."""
+AXES = "xyz"
 MOST_NUMBERS = 8
 """A posture of more numbers is told by their range."""
 
@@ -41,26 +44,18 @@ def verdict(run: Run, version: Version, rows: Iterable[Score]) -> str:
     return f"**{sentence}{why}.** {kept}."
 
 
-def rolled_out(run: Run, version: Version) -> tuple[list[str], list[str]]:
-    """Where each goal ends in fresh worlds, in words, and the figures of it. Raises `RunError`."""
-    beside = [run.version(block, version.iteration) for block in run.blocks]
-    models = {each.block: load_models(run, each) for each in beside}
-    rollout = roll_out(run, beside, models)
-    world = run.world(1, [0, 6, 4])
-    encoder = models[version.block].encoder
-    ends = _ends(rollout, version.block, encoder.latent_dim)
+def in_words(rollout: Rollout, version: Version, world: World) -> list[str]:
+    """Where each goal of a block ends in fresh worlds; `world` has one copy."""
+    ends = ends_of(rollout, version.block)
     (anew,) = [row for row in rollout.scores() if row.block == version.block]
-    words = [
+    return [
         "In fresh worlds, from random starts and with mean actions:",
         "",
-        *_places(rollout, ends, world),
+        *_places(rollout, version.block, ends, world),
         *_named(anew),
         "",
         f"Scores of these rollouts: separation {anew.separation:.3f}, z_min {anew.z_min:.3f}.",
     ]
-    from services.launcher.block_pictures import pictures_of
-
-    return words, pictures_of(rollout, version, encoder, ends, world)
 
 
 def _sought(run: Run, version: Version, row: Score) -> str:
@@ -68,11 +63,15 @@ def _sought(run: Run, version: Version, row: Score) -> str:
         return f"the postures {' and '.join(row.landmarks)}"
     if run.settings.one_block(version.block).latent_dim > 2:
         return "places far apart, one per goal,"
+    if version.block not in run.settings.levels[-1]:
+        return "two places far apart of what it moves"
     return PLACES.get(run.settings.world.id, "two places far apart")
 
 
-def _places(rollout: Rollout, ends: "Ends", world: World) -> list[str]:
+def _places(rollout: Rollout, block: str, ends: "Ends", world: World) -> list[str]:
     """Where the goals end, and how far apart; goals that no leg had are left out."""
+    part = rollout.parts[block]
+    ends = ends.cut(part.components)
     means = {
         goal: ends.posture[ends.goal == goal].mean(axis=0)
         for goal in range(ends.latent_dim)
@@ -81,19 +80,21 @@ def _places(rollout: Rollout, ends: "Ends", world: World) -> list[str]:
     lines = []
     for goal, mean in means.items():
         off = float(np.linalg.norm(ends.posture[ends.goal == goal] - mean, axis=1).mean())
-        lines.append(f"- goal {goal} ends at {_posture(mean, world)}, on average within {off:.2f} of it")
+        place = _posture(mean, world, part.components)
+        lines.append(f"- goal {goal} ends at {place}, on average within {off:.2f} of it")
     for one, other in itertools.combinations(means, 2):
         apart = float(np.linalg.norm(means[one] - means[other]))
-        share = f"{apart / rollout.diameter:.0%} of the diameter {rollout.diameter:.2f}"
+        share = f"{apart / part.diameter:.0%} of the diameter {part.diameter:.2f}"
         lines.append(f"- the ends of goals {one} and {other} are {apart:.2f} apart: {share}")
     return lines
 
 
-def _posture(mean: NDArray[np.floating], world: World) -> str:
-    """A place, or where each joint is in its range."""
+def _posture(mean: NDArray[np.floating], world: World, components: NDArray[np.intp]) -> str:
+    """A place, or where each joint is in its range; `components` are what of the posture is told."""
     if isinstance(world, PointWorld):
-        return _point(mean)
-    names = world.posture_names
+        axes = "".join(AXES[component] for component in components)
+        return _point(mean) if axes == AXES else f"{axes} = {_point(mean)}"
+    names = [world.posture_names[component] for component in components] if world.posture_names else []
     if len(mean) > MOST_NUMBERS:
         return (
             f"a posture of {len(mean)} joints between {mean.min():.2f} and {mean.max():.2f} "
@@ -125,11 +126,12 @@ def _named(row: Score) -> list[str]:
     return lines
 
 
-def _ends(rollout: Rollout, block: str, latent_dim: int) -> "Ends":
+def ends_of(rollout: Rollout, block: str) -> "Ends":
+    """Where a block's legs ended, and the ways there, in whole postures."""
     from services.launcher.figures import Ends
 
     legs, path = rollout.legs[block], rollout.path
-    steps = rollout.run.settings.evaluation.leg_steps
+    steps = rollout.leg_rows
     ways = np.stack([path[leg * steps : (leg + 1) * steps + 1] for leg in range(1, len(legs.goal))])
     size = path.shape[2]
     return Ends(
@@ -138,7 +140,7 @@ def _ends(rollout: Rollout, block: str, latent_dim: int) -> "Ends":
         way=ways.swapaxes(1, 2).reshape(-1, steps + 1, size),
         first_goal=legs.goal[0],
         first_way=path[: steps + 1].swapaxes(0, 1),
-        latent_dim=latent_dim,
+        latent_dim=legs.latent.shape[2],
     )
 
 

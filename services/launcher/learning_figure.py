@@ -36,11 +36,12 @@ def draw_learning(
     curves: Curves,
     timeline: Timeline,
     title: str,
+    level: int = 0,
 ) -> None:
-    """Scores by iteration, and what the learners measured in the time in which they learned."""
+    """Scores by iteration, and what the learners measured in the time in which its level learned."""
     drawn = curves.of(block)
     drawers: list[Callable[[Any], None]] = [lambda axes: _scores(axes, rows, best)] if rows else []
-    drawers += [_curve_drawer(measure, series, timeline) for measure, series in drawn.items()]
+    drawers += [_curve_drawer(measure, series, timeline, level) for measure, series in drawn.items()]
     columns = min(COLUMNS, len(drawers))
     lines = -(-len(drawers) // columns)
     width, below = max(5.4, 3.15 * columns), 1.0 if columns > 2 else 1.6
@@ -68,8 +69,8 @@ def draw_learning(
     save(figure, path)
 
 
-def _curve_drawer(measure: Measure, series: Series, timeline: Timeline) -> Callable[[Any], None]:
-    return lambda axes: _curve(axes, measure, series, clock(timeline, measure.phases))
+def _curve_drawer(measure: Measure, series: Series, timeline: Timeline, level: int) -> Callable[[Any], None]:
+    return lambda axes: _curve(axes, measure, series, clock(timeline, measure.phases, level))
 
 
 def _curve(axes: Any, measure: Measure, series: Series, hands: Clock) -> None:

@@ -35,17 +35,18 @@ JITTER = 0.3
 
 def draw_postures(path: Path, ends: Ends, names: Sequence[str], title: str) -> None:
     """Where each joint ended per goal, from -1 (lower limit) to 1; `names` of the joints, if known."""
-    joints = ends.posture.shape[1]
-    few = joints <= MOST_STRIPS and joints * ends.latent_dim <= MOST_STRIPS * MOST_STRIP_GOALS
+    joints, few = ends.posture.shape[1], is_few(ends)
     size = (min(3.0 + 0.75 * joints, 12.0), 4.8) if few else (12.0, 3.8 + 0.35 * ends.latent_dim)
     figure = Figure(figsize=size, layout="constrained")
     axes: Any = figure.subplots()
     if few:
-        _strips(figure, axes, ends)
+        strips(axes, ends)
+        legend = axes.get_legend_handles_labels()
+        figure.legend(*legend, loc="outside lower center", ncols=min(ends.latent_dim, 4), frameon=False)
     else:
-        _map(figure, axes, ends)
+        means(figure, axes, ends)
     known = len(names) == joints
-    labels = _labels(names) if known else [str(joint) for joint in range(joints)]
+    labels = short_names(names) if known else [str(joint) for joint in range(joints)]
     turned = 90 if known or not few else 0
     axes.set_xticks(range(joints), labels, rotation=turned, fontsize=9 if few else 6)
     axes.set_xlabel("joint")
@@ -53,10 +54,20 @@ def draw_postures(path: Path, ends: Ends, names: Sequence[str], title: str) -> N
     save(figure, path)
 
 
-def draw_way(path: Path, latent: Array, goal: Array, title: str) -> None:
-    """The latents (T, E, d) of some columns on their legs to `goal` (L, E); one panel per column."""
+def is_few(ends: Ends) -> bool:
+    """Whether there is room for a strip per joint and goal."""
+    joints = ends.posture.shape[1]
+    return joints <= MOST_STRIPS and joints * ends.latent_dim <= MOST_STRIPS * MOST_STRIP_GOALS
+
+
+def draw_way(path: Path, latent: Array, goal: Array, title: str, env_steps_per_row: int = 1) -> None:
+    """The latents (T, E, d) of some columns on their legs to `goal` (L, E); one panel per column.
+
+    A latent is that of an action which is held for `env_steps_per_row` environment steps.
+    """
     steps, columns = len(latent), min(TRAJECTORIES, latent.shape[1])
-    leg_steps = steps // len(goal)
+    leg_steps = steps // len(goal) * env_steps_per_row
+    place = env_steps_per_row * np.arange(steps)
     figure = Figure(figsize=(9.0, 1.2 + 1.5 * columns), layout="constrained")
     panels = figure.subplots(columns, 1, sharex=True, squeeze=False)[:, 0]
     colours = vertex_colours(latent.shape[2])
@@ -69,9 +80,9 @@ def draw_way(path: Path, latent: Array, goal: Array, title: str) -> None:
             label = f"$z_{{{vertex}}}$"
             if latent.shape[2] <= MOST_NAMED:
                 label += f"; shaded while goal {vertex} holds"
-            axes.plot(latent[:, column, vertex], color=colours[vertex], linewidth=1.2, label=label)
-        axes.set(ylim=(-0.02, 1.02), xlim=(0, steps), ylabel="latent")
-    panels[-1].set_xlabel("step")
+            axes.plot(place, latent[:, column, vertex], color=colours[vertex], linewidth=1.2, label=label)
+        axes.set(ylim=(-0.02, 1.02), xlim=(0, steps * env_steps_per_row), ylabel="latent")
+    panels[-1].set_xlabel("environment step")
     figure.suptitle(title)
     handles, labels = panels[0].get_legend_handles_labels()
     columns = min(3 if len(labels) <= MOST_NAMED else 8, len(labels))
@@ -79,7 +90,7 @@ def draw_way(path: Path, latent: Array, goal: Array, title: str) -> None:
     save(figure, path)
 
 
-def _strips(figure: Figure, axes: Any, ends: Ends) -> None:
+def strips(axes: Any, ends: Ends) -> None:
     """One strip per joint and goal, a dot per leg."""
     joints = ends.posture.shape[1]
     rng, width = np.random.default_rng(0), 0.8 / ends.latent_dim
@@ -95,11 +106,9 @@ def _strips(figure: Figure, axes: Any, ends: Ends) -> None:
     axes.set(xlim=(-0.5, joints - 0.5), ylim=(-1.08, 1.08), ylabel="place in the joint's range")
     axes.set_yticks([-1, 0, 1], LIMITS)
     axes.grid(axis="y", alpha=0.3)
-    legend = axes.get_legend_handles_labels()
-    figure.legend(*legend, loc="outside lower center", ncols=min(ends.latent_dim, 4), frameon=False)
 
 
-def _map(figure: Figure, axes: Any, ends: Ends) -> None:
+def means(figure: Figure, axes: Any, ends: Ends) -> None:
     """The mean end of each joint (columns) per goal (rows)."""
     nothing = np.full(ends.posture.shape[1], np.nan)
     rows = [
@@ -112,7 +121,7 @@ def _map(figure: Figure, axes: Any, ends: Ends) -> None:
     bar.ax.set_yticklabels(LIMITS)
 
 
-def _labels(names: Sequence[str]) -> list[str]:
+def short_names(names: Sequence[str]) -> list[str]:
     """Names without what all of them begin with; of a long one the end, for there they differ."""
     parts = [re.split(r"(?<=[:_/])", name) for name in names]
     while all(len(each) > 1 and each[0] == parts[0][0] for each in parts):

@@ -7,7 +7,7 @@ Long form, a row per number: of `metrics.jsonl` (what learners measure and count
 import itertools
 import os
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,6 +15,7 @@ from services.launcher.records import Records, count, moment, number, table, tex
 from services.launcher.timeline import MEMBER, Timeline, timeline_of
 from services.runtime.checkpoint import DRAFT_SUFFIX, refuse_storage
 from services.runtime.errors import UserError
+from services.runtime.settings import load
 
 FILE = "scalars.parquet"
 ROWS_AT_ONCE = 1 << 16
@@ -75,7 +76,7 @@ def scalars(run_dir: Path) -> Iterator[Scalar]:
     events = Records(run_dir / "events.jsonl")
     timeline = timeline_of(events)
     yield from _of_metrics(Records(run_dir / "metrics.jsonl"), timeline)
-    yield from _of_scores(Records(run_dir / "scores.jsonl"), timeline)
+    yield from _of_scores(Records(run_dir / "scores.jsonl"), timeline, _levels(run_dir))
     yield from _of_events(events, timeline)
 
 
@@ -97,18 +98,28 @@ def _of_metrics(metrics: Records, timeline: Timeline) -> Iterator[Scalar]:
                 yield Scalar(secs, term, phase, iteration, block or None, service, measure, value)
 
 
-def _of_scores(scores: Records, timeline: Timeline) -> Iterator[Scalar]:
+def _levels(run_dir: Path) -> dict[str, int]:
+    """Block -> its level; empty where the settings cannot be read."""
+    try:
+        settings = load(run_dir / "config.toml")
+        return {block: level for level, blocks in enumerate(settings.levels) for block in blocks}
+    except UserError:
+        return {}
+
+
+def _of_scores(scores: Records, timeline: Timeline, levels: Mapping[str, int]) -> Iterator[Scalar]:
     """Told at the end of the evaluation that found them."""
     ends = {
-        (span.announced.iteration, str(span.announced.evaluates)): (span.end_secs, span.announced.term)
+        (told.level, told.iteration, str(told.evaluates)): (span.end_secs, told.term)
         for span in timeline.spans
-        if span.announced.evaluates is not None
+        if (told := span.announced).evaluates is not None
     }
     for row in scores:
         iteration, phase, policy = count(row, "iteration"), text(row, "phase"), text(row, "policy")
         if iteration is None or policy not in SCORED_BY:
             continue
-        running_secs, term = ends.get((iteration, str(phase)), (None, None))
+        level = levels.get(str(text(row, "block")), 0)
+        running_secs, term = ends.get((level, iteration, str(phase)), (None, None))
         secs = None if running_secs is None else timeline.wall(running_secs)
         numbers = {name: number(row, name) for name in row if name not in NO_MEASURES and name.isprintable()}
         numbers |= {f"landmark/{name}": value for name, value in table(row, "landmarks").items()}

@@ -1,35 +1,23 @@
 """`babble score RUN`: what the saved models of a run can do, recomputed in fresh worlds."""
 
 import argparse
+import json
 import sys
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 
-import numpy as np
 from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from babble.noise import Noise, make_noise
 from babble.scores import REACHED
-from babble.worlds import World
-from protocol.messages import Phase, Score
-from services.launcher.evaluate import (
-    COLUMNS,
-    MODES,
-    Models,
-    Run,
-    RunError,
-    Version,
-    evaluate,
-    measures,
-    open_run,
-    roll_out,
-    score_columns,
-    shortfalls,
-)
-from services.runtime.settings import RunSettings
+from protocol.messages import Score
+from services.launcher.child_ends import ChildEnds, child_ends, table_of
+from services.launcher.evaluate import COLUMNS, rolled_out
+from services.launcher.judging import measures, score_columns, shortfalls, tree_words
+from services.launcher.score_control import control_rows
+from services.launcher.scored_run import Run, Version, open_run
 
-LEARNER_PACKAGES = frozenset({"torch", "stable_baselines3", "onnx"})
 HEADS = {
     "separation": "sep",
     "separation_worst": "worst",
@@ -45,6 +33,10 @@ LEGEND = (
 )
 LANDMARKS_LEGEND = "{names}: share of legs to the vertex that stands for it which ended at that posture."
 REWARD_LEGEND = "reward: the task's own, per step in the second half of the legs."
+POSTURES_LEGEND = (
+    "Where a child ends: its vertex, the mean of that component of its latent, and the landmark where most "
+    "legs end, with their share."
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,7 +51,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="train a policy on an untrained encoder instead and score that; code 1 if it passes",
     )
-    parser.add_argument("--json", action="store_true", help="one JSON object per row")
+    parser.add_argument(
+        "--json",
+        action="store_true",
+        help='one JSON object per row; of blocks with children also one, with the key "goals", per iteration',
+    )
     parser.add_argument("--seed", type=_count, default=0, metavar="S", help="of the fresh worlds (default 0)")
     parser.add_argument(
         "--columns", type=_positive, default=COLUMNS, help=f"fresh worlds (default {COLUMNS})"
@@ -72,46 +68,95 @@ def run(arguments: argparse.Namespace) -> int:
     return _control(opened, arguments) if arguments.control else _score(opened, arguments)
 
 
+@dataclass
+class _Found:
+    """What rollouts of the saved models found."""
+
+    rows: list[Score] = field(default_factory=list)
+    postures: list[ChildEnds] = field(default_factory=list)
+    """of blocks with children, where their children ended; by mean actions"""
+
+    def row(self, version: Version) -> Score:
+        """By mean actions."""
+        key = (version.block, version.iteration, "mean")
+        return next(row for row in self.rows if (row.block, row.iteration, row.policy) == key)
+
+
 def _score(opened: Run, arguments: argparse.Namespace) -> int:
-    blocks = opened.blocks or [opened.settings.block[0].name]
-    chosen = {block: opened.version(block, arguments.iteration) for block in blocks}
+    chosen = _chosen(opened, arguments.iteration)
     only = arguments.best or arguments.iteration is not None
-    together = [list(chosen.values())] if only else opened.iterations()
-    rows = [
-        row
-        for versions in together
-        for row in evaluate(opened, versions, seed=arguments.seed, columns=arguments.columns)
-    ]
+    together = _by_level(opened, chosen) if only else opened.iterations()
+    found = _Found()
+    for versions in together:
+        for rollout in rolled_out(opened, versions, seed=arguments.seed, columns=arguments.columns):
+            found.rows += rollout.scores()
+            if rollout.mode == "mean":
+                found.postures += [ends for each in versions if (ends := child_ends(rollout, each))]
     if arguments.json:
-        _print_json(rows)
+        _print_json(found.rows)
+        for ends in found.postures:
+            print(json.dumps(ends.json()))
         return 0
-    console = _console()
-    _say(console, _heading(opened, arguments, "saved models"))
-    for block in chosen:
-        mine = [row for row in rows if row.block == block]
-        console.print(_table(mine, opened.best.get(block), "" if len(chosen) == 1 else f"block {block}"))
-    for version in chosen.values():
-        _say(console, _verdict(opened, version, rows))
-    _say(console, " ".join([LEGEND, *_further_legends(rows)]))
+    scored = [version for version in chosen if version.block in {row.block for row in found.rows}]
+    _show(opened, arguments, scored, found)
     return 0
 
 
+def _chosen(opened: Run, iteration: int | None) -> list[Version]:
+    """One iteration of each block, level by level; of a named one, those that have it. Raises `RunError`."""
+    blocks = [block for names in opened.levels.values() for block in names]
+    blocks = blocks or [opened.settings.block[0].name]
+    if iteration is not None:
+        blocks = [block for block in blocks if iteration in opened.versions(block)] or blocks[:1]
+    return [opened.version(block, iteration) for block in blocks]
+
+
+def _by_level(opened: Run, chosen: Sequence[Version]) -> list[list[Version]]:
+    """Those that act at once."""
+    levels = [[each for each in chosen if each.block in blocks] for blocks in opened.levels.values()]
+    return [versions for versions in levels if versions]
+
+
+def _show(opened: Run, arguments: argparse.Namespace, scored: Sequence[Version], found: _Found) -> None:
+    """Tables, verdicts and legends, grouped by level where there is a tree of blocks."""
+    console, is_tree = _console(), len(opened.settings.block) > 1
+    _say(console, _heading(opened, arguments, "saved models"))
+    for version in scored:
+        block, rows = version.block, [row for row in found.rows if row.block == version.block]
+        if is_tree:
+            _say(console, f"level {opened.settings.level_of(block)}, block {block}")
+        console.print(_table(rows, opened.best.get(block)))
+    for version in scored:
+        _say(console, _verdict(opened, version, found.row(version)))
+    for ends in found.postures:
+        _show_postures(console, ends, whole=ends.version in scored)
+    if is_tree:
+        names = [block.name for block in opened.settings.block]
+        _say(console, tree_words(names, {version.block: found.row(version) for version in scored}))
+    _say(console, " ".join([LEGEND, *_further_legends(found)]))
+
+
+def _show_postures(console: Console, ends: ChildEnds, *, whole: bool) -> None:
+    """Which postures a block's goals are: all of it, or only how far they differ."""
+    what = f"block {ends.version.block}, iteration {ends.version.iteration}, mean actions"
+    if whole:
+        _say(console, f"{what}: where its children end, by goal")
+        cells = table_of(ends)
+        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+        for row in cells:
+            padded = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+            _say(console, "  ".join(padded).rstrip())
+    _say(console, f"{what}: {'; '.join(ends.words())}")
+
+
 def _control(opened: Run, arguments: argparse.Namespace) -> int:
-    control = Version(
-        block=opened.settings.block[0].name, iteration=0, phase=Phase.GROUND, encoder=0, policy=0
-    )
-    models = {control.block: _train_control(opened, control.block, arguments.seed)}
-    rolled = [
-        roll_out(opened, [control], models, seed=arguments.seed, columns=arguments.columns, mode=mode)
-        for mode in MODES
-    ]
-    rows = [row for rollout in rolled for row in rollout.scores()]
+    rows = control_rows(opened, seed=arguments.seed, columns=arguments.columns)
     console = _console(stderr=arguments.json)
     if arguments.json:
         _print_json(rows)
     else:
         _say(console, _heading(opened, arguments, "an untrained encoder and a policy trained on it"))
-        console.print(_table(rows, None, ""))
+        console.print(_table(rows, None))
     mean = rows[0]
     if missing := shortfalls(mean):
         _say(console, f"the control fails, as it must: {', '.join(missing)}")
@@ -122,67 +167,6 @@ def _control(opened: Run, arguments: argparse.Namespace) -> int:
         f"the control passes ({passed}), so with this seed such scores prove nothing in this world",
     )
     return 1
-
-
-def _train_control(opened: Run, block: str, seed: int) -> Models:
-    """A policy trained on an untrained encoder with the run's own settings and budget. Raises `RunError`."""
-    try:
-        from babble.control import train_on_untrained_encoder
-    except ModuleNotFoundError as error:
-        if error.name not in LEARNER_PACKAGES:
-            raise
-        raise RunError(
-            f"the control trains a policy and needs {error.name}, which is not installed here; "
-            "install it with `make setup`, or `.venv/bin/uv sync --locked --inexact --extra learner`"
-        ) from None
-    settings, phases = opened.settings, opened.settings.phases
-    world = opened.world(settings.policy.rollout_columns, [seed, 6, 2])
-    _check_whole_body(opened, world)
-    ppo = settings.policy.model_dump(exclude={"rollout_columns", "max_policy_lag"})
-    try:
-        # The body may break down, and a sense may find only now that it has no renderer.
-        encoder, policy = train_on_untrained_encoder(
-            world,
-            settings.one_block(block).latent_dim,
-            noise=_babbling(settings, world, seed),
-            walk_steps=phases.babble_steps,
-            train_steps=phases.ground_steps + phases.iterations * phases.practise_steps,
-            goal_period_steps=settings.goals.period_steps,
-            encoder_hidden=tuple(settings.encoder.hidden),
-            vision_features=settings.encoder.vision_features,
-            seed=seed,
-            steps=settings.actors.segment_steps,
-            reward_form=settings.goals.reward,
-            **settings.goals.model_dump(include={"sparse_radius", "goal_weight", "external_weight"}),
-            **ppo,
-        )
-    except ValueError as error:
-        raise RunError(f"the control of {opened.shown} cannot be trained here: {error}") from None
-    return Models(encoder, policy)
-
-
-def _babbling(settings: RunSettings, world: World, seed: int) -> Noise:
-    return make_noise(
-        settings.babbling.kind,
-        scale=settings.babbling.scale,
-        columns=world.columns,
-        size=world.action_size,
-        rng=np.random.default_rng([seed, 6, 3]),
-        correlation=settings.babbling.correlation,
-        hold_steps=settings.babbling.hold_steps,
-    )
-
-
-def _check_whole_body(opened: Run, world: World) -> None:
-    tree = opened.tree(world)
-    (spec, *others) = tree.specs.values()
-    senses = np.array_equal(tree.observed(spec.name), np.arange(world.observation_size))
-    moves = np.array_equal(tree.driven(spec.name), np.arange(world.action_size))
-    if others or not senses or not moves:
-        raise RunError(
-            f"{opened.shown}: the control is for runs of one block that senses and moves the whole body; "
-            f"this one has {', '.join(tree.specs)}"
-        )
 
 
 def _print_json(rows: Iterable[Score]) -> None:
@@ -207,14 +191,8 @@ def _heading(opened: Run, arguments: argparse.Namespace, what: str) -> str:
     )
 
 
-def _table(rows: Sequence[Score], best: int | None, title: str) -> Table:
-    table = Table(
-        title=title or None,
-        box=box.SIMPLE_HEAD if sys.stdout.isatty() else None,
-        padding=(0, 1, 0, 0),
-        show_edge=False,
-        pad_edge=False,
-    )
+def _table(rows: Sequence[Score], best: int | None) -> Table:
+    table = _plain_table()
     columns = score_columns(rows)
     for name in ("iter", "policy", *(HEADS.get(name, name) for name in columns), ""):
         table.add_column(name, justify="left" if name in ("policy", "") else "right", no_wrap=True)
@@ -230,18 +208,26 @@ def _table(rows: Sequence[Score], best: int | None, title: str) -> Table:
     return table
 
 
-def _further_legends(rows: Sequence[Score]) -> list[str]:
-    names = ", ".join(dict.fromkeys(name for row in rows for name in row.landmarks))
-    rewarded = any(row.external_reward is not None for row in rows)
+def _plain_table() -> Table:
+    return Table(
+        box=box.SIMPLE_HEAD if sys.stdout.isatty() else None,
+        padding=(0, 1, 0, 0),
+        show_edge=False,
+        pad_edge=False,
+    )
+
+
+def _further_legends(found: _Found) -> list[str]:
+    names = ", ".join(dict.fromkeys(name for row in found.rows for name in row.landmarks))
+    rewarded = any(row.external_reward is not None for row in found.rows)
     return [
         *([LANDMARKS_LEGEND.format(names=names)] if names else []),
         *([REWARD_LEGEND] if rewarded else []),
+        *([POSTURES_LEGEND] if found.postures else []),
     ]
 
 
-def _verdict(opened: Run, version: Version, rows: Iterable[Score]) -> str:
-    key = (version.block, version.iteration, "mean")
-    row = next(row for row in rows if (row.block, row.iteration, row.policy) == key)
+def _verdict(opened: Run, version: Version, row: Score) -> str:
     missing = shortfalls(row)
     bars = ", ".join(measures(row))
     found = f"not reached: {', '.join(missing)}" if missing else f"reached: {bars} >= {REACHED}"

@@ -10,9 +10,9 @@ from pydantic import ValidationError
 
 from protocol.messages import Score
 from services.launcher.curves import Curves, read_curves
-from services.launcher.evaluate import Run, RunError, read_best
 from services.launcher.records import Records
 from services.launcher.run_folder import RunFolder
+from services.launcher.scored_run import Run, RunError, read_best
 from services.launcher.timeline import Timeline, timeline_of
 from services.runtime.errors import UserError
 from services.runtime.settings import RunSettings

@@ -43,9 +43,7 @@ def draw_timeline(path: Path, timeline: Timeline, title: str) -> None:
         mine = [span for span in timeline.spans if span.announced.level == level]
         _bars(bars, row, mine, timeline.end_secs, unit_secs)
         _iterations(bars, row, mine, timeline.end_secs, unit_secs)
-    for begin, end in timeline.waits:
-        for row in range(len(levels)):
-            bars.broken_barh([(begin / unit_secs, (end - begin) / unit_secs)], (row - 0.4, 0.55), **WAIT)
+        _waits(bars, row, mine, timeline.waits, unit_secs)
     low, high = -0.55, len(levels) - 0.42
     _restarts(crowd, timeline, unit_secs, 1.0)
     # Not over the numbers of the iterations.
@@ -85,6 +83,17 @@ def _bars(axes: Any, row: int, spans: Sequence[Span], whole_secs: float, unit_se
         for (begin, size), span in zip(places, mine, strict=True):
             if span.secs > LABEL_SHARE * (len(phase) + 1) * whole_secs:
                 axes.text(begin + size / 2, row - 0.125, phase.value, **style)
+
+
+def _waits(
+    axes: Any, row: int, spans: Sequence[Span], waits: Sequence[tuple[float, float]], unit_secs: float
+) -> None:
+    """Who waits is the level whose turn it is."""
+    for span in spans:
+        for begin, end in waits:
+            first, last = max(begin, span.begin_secs), min(end, span.end_secs)
+            if first < last:
+                axes.broken_barh([(first / unit_secs, (last - first) / unit_secs)], (row - 0.4, 0.55), **WAIT)
 
 
 def _iterations(axes: Any, row: int, spans: Sequence[Span], whole_secs: float, unit_secs: float) -> None:

@@ -17,22 +17,56 @@ SHARP = 3.0
 """So steep a latent is within 0.003 of the vertex at the ends; at 0.1 it stays near the middle."""
 
 
-def encoder(direction: Sequence[float], sharpness: float = SHARP, latent_dim: int = 2) -> bytes:
+TREE = """
+[[block]]
+name = "x"
+observes = [0]
+drives = [0]
+
+[[block]]
+name = "yz"
+observes = [1, 2]
+drives = [1, 2]
+
+[[block]]
+name = "body"
+children = ["x", "yz"]
+"""
+"""The cuboid in two parts, and a block above them."""
+
+
+def encoder(
+    direction: Sequence[float], sharpness: float = SHARP, latent_dim: int = 2, block: str = ""
+) -> bytes:
     """z = softmax(sharpness * [w.x, -w.x, 0...]) for the given w."""
     w = np.array(direction, np.float32)
     weight = np.zeros((latent_dim, len(w)), np.float32)
     weight[0], weight[1] = sharpness * w, -sharpness * w
     layer = Layer(weight, np.zeros(latent_dim, np.float32))
-    return encoder_onnx(EncoderWeights(np.zeros(len(w), np.float32), 1.0, [layer]))
+    return encoder_onnx(EncoderWeights(np.zeros(len(w), np.float32), 1.0, [layer]), block)
 
 
-def policy(direction: Sequence[float], latent_dim: int = 2) -> bytes:
+def policy(direction: Sequence[float], latent_dim: int = 2, block: str = "") -> bytes:
     """Full speed along `direction` for goal 0 and against it for goal 1, whatever z is."""
     push = np.array(direction, np.float32)
     weight = np.zeros((len(push), 2 * latent_dim), np.float32)
     weight[:, latent_dim], weight[:, latent_dim + 1] = push, -push
     layer = Layer(weight, np.zeros(len(push), np.float32))
-    return policy_onnx(PolicyWeights(latent_dim, [layer], np.zeros(len(push), np.float32)))
+    return policy_onnx(PolicyWeights(latent_dim, [layer], np.zeros(len(push), np.float32)), block)
+
+
+def parts() -> dict[str, tuple[bytes, bytes]]:
+    """Models of "x" and "yz" of the tree, which reach both ends of what they move."""
+    return {
+        "x": (encoder([1.0], block="x"), policy([1.0], block="x")),
+        "yz": (encoder([1.5, 1.0], block="yz"), policy([1.0, 1.0], block="yz")),
+    }
+
+
+def composed() -> dict[str, tuple[bytes, bytes]]:
+    """Models of "body" of the tree: goal 0 sends both children to vertex 0, goal 1 to vertex 1."""
+    signs = (1, -1, 1, -1)
+    return {"body": (encoder(signs, block="body"), policy(signs, block="body"))}
 
 
 def write_run(

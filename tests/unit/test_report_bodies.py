@@ -193,7 +193,7 @@ def test_pictures_are_cut_to_what_is_in_any_of_them() -> None:
 
 def test_the_map_of_a_run_is_of_its_encoder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     maps: list[Map] = []
-    monkeypatch.setattr("services.launcher.block_pictures._of_body", lambda *_: [])
+    monkeypatch.setattr("services.launcher.block_pictures.of_body", lambda *_: [])
     monkeypatch.setattr(
         "services.launcher.posture_map.draw_map", lambda path, drawn, ends, title: maps.append(drawn)
     )
