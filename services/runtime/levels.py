@@ -19,7 +19,7 @@ BLOCK_TABLES = ("encoder", "policy")
 """The tables that a block may have otherwise."""
 FIRST_DECISION_STEPS = 10
 """Environment steps of one action of level 1, unless it says otherwise (facts: 3, 10 and 25 work)."""
-DECISION_GROWTH = 3
+DECISION_GROWTH = 5
 """So many decisions of the level below make one, unless a level says otherwise."""
 
 Place = tuple[str | int, ...]

@@ -95,8 +95,8 @@ def test_a_flat_run_has_the_same_settings_for_its_level_and_its_block() -> None:
 
 def test_a_decision_of_a_level_is_several_of_the_level_below() -> None:
     assert hand().decision_steps == (1, 5)
-    goals = {"period_steps": 90, "walk_steps_per_goal": 90}
-    assert chain({}, {}, {"goals": goals, "evaluation": {"leg_steps": 60}}).decision_steps == (1, 10, 30)
+    goals = {"period_steps": 100, "walk_steps_per_goal": 100}
+    assert chain({}, {}, {"goals": goals, "evaluation": {"leg_steps": 100}}).decision_steps == (1, 10, 50)
     assert chain({}, {"decision_steps": 20}, {"decision_steps": 100}).decision_steps == (1, 20, 100)
 
 
