@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from babble.breakdowns import UnstableError
+from babble.worlds.batch import Start
 from babble.worlds.physics.env import BodyParameters, blueprint
+from babble.worlds.physics.stability import run
 from babble.worlds.physics.task import Play
 from babble.worlds.physics.world import MujocoWorld
 from tests.unit.small_body import ARM, arm
@@ -283,3 +286,48 @@ def test_the_reward_of_a_broken_copy_is_nothing() -> None:
     world.copies[0].qvel[:] = np.inf
     assert world.step(np.zeros((2, 2), np.float32)).external_reward.tolist() == [0, 7]
     assert world.rewarded
+
+
+class Rough(Play):
+    """Every so many beginnings throw the body about until nothing of it is a number."""
+
+    def __init__(self, model: mujoco.MjModel, good_every: int) -> None:
+        super().__init__(model, BOTH)
+        self.good_every = good_every
+        self.begun = 0
+
+    def begin(self, data: mujoco.MjData, rng: np.random.Generator, start: Start) -> None:
+        super().begin(data, rng, start)
+        self.begun += 1
+        if self.begun % self.good_every:
+            data.qfrc_applied[:] = 1e30
+        run(self.model, data, 1000)
+
+
+def rough(good_every: int) -> tuple[MujocoWorld, Rough]:
+    model = arm()
+    task = Rough(model, good_every)
+    plan = blueprint("Arm", model, BodyParameters(), joints=BOTH, actuators=BOTH, task=lambda: task)
+    return MujocoWorld(plan, 2, np.random.default_rng(0)), task
+
+
+def test_an_episode_that_breaks_down_while_it_is_begun_is_begun_again() -> None:
+    world, task = rough(good_every=3)
+    assert np.isfinite(world.reset("random")).all()
+    assert task.begun == 6
+    assert world.step(np.zeros((2, 2), np.float32)).failed is None
+
+
+def test_a_body_that_never_comes_to_rest_is_given_up_in_one_sentence() -> None:
+    world, _ = rough(good_every=10**6)
+    with pytest.raises(UnstableError, match="the simulation of Arm broke down 20 times before an episode"):
+        world.reset()
+
+
+def test_a_simulation_that_has_broken_down_is_stepped_no_further() -> None:
+    model = arm()
+    data = mujoco.MjData(model)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    data.qfrc_applied[:] = 1e30
+    run(model, data, 1000)
+    assert data.time < 100 * model.opt.timestep

@@ -19,6 +19,7 @@ from babble.worlds.mimo.whole_body import moving, settled
 from babble.worlds.physics.actuation import Indices
 from babble.worlds.physics.env import BodyParameters, MujocoEnv, blueprint
 from babble.worlds.physics.names import names_of
+from babble.worlds.physics.stability import run
 from babble.worlds.physics.task import Play
 from babble.worlds.physics.world import Blueprint
 from babble.worlds.senses.joints import Unit
@@ -105,10 +106,10 @@ class Lying(Play):
             reach = REACH_SHARE * rng.uniform(-1, 1, len(middle)) * (self._high - self._low) / 2
             data.qpos[self._qpos] = np.clip(middle + reach, self._low, self._high)
             put_down(self.model, data)
-            mujoco.mj_step(self.model, data, round(CALM_SECS / self.model.opt.timestep))
+            run(self.model, data, round(CALM_SECS / self.model.opt.timestep))
         else:
             data.qpos[self._qpos] = middle + rng.uniform(-self._noise, self._noise, len(middle))
-        mujoco.mj_step(self.model, data, self._settle_steps)
+        run(self.model, data, self._settle_steps)
 
 
 def turn_over(qpos: NDArray[np.float64]) -> None:

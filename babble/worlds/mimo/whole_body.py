@@ -15,6 +15,7 @@ from babble.worlds.mimo.scenes import set_angles
 from babble.worlds.physics.actuation import Indices
 from babble.worlds.physics.env import BodyParameters
 from babble.worlds.physics.names import names_of
+from babble.worlds.physics.stability import run
 from babble.worlds.physics.task import Play
 
 PUSH_SECS = {"centre": 0.2, "random": 0.5}
@@ -71,7 +72,7 @@ class Stirred(Play):
 
     def _run(self, data: mujoco.MjData, push: NDArray[np.float64], secs: float) -> None:
         data.qfrc_applied[:] = push * self._full_push
-        mujoco.mj_step(self.model, data, round(secs / self.model.opt.timestep))
+        run(self.model, data, round(secs / self.model.opt.timestep))
 
 
 def moving(model: mujoco.MjModel, *, head_held: bool) -> tuple[Indices, Indices]:

@@ -9,11 +9,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from babble.breakdowns import UnstableError
 from babble.landmarks import Landmark
 from babble.observations import Layout
 from babble.worlds.batch import Flags, Floats, Start, Step
 from babble.worlds.physics.actuation import Actuation
 from babble.worlds.physics.names import labels
+from babble.worlds.physics.stability import BEGINNINGS, is_broken
 from babble.worlds.physics.task import Task
 from babble.worlds.senses.degradation import Degradation, Degraded
 from babble.worlds.senses.joints import centre_and_half_range
@@ -24,8 +26,6 @@ log = logging.getLogger(__name__)
 mujoco.set_mju_user_warning(lambda text: log.debug("MuJoCo: %s", text))
 
 Indices = NDArray[np.intp]
-UNSTABLE = 1e10
-"""MuJoCo's own bound (mjMAXVAL) of a position or velocity that means anything."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,10 +162,7 @@ class MujocoWorld:
 
     def _begin(self, columns: Flags, start: Start) -> Floats:
         for index in np.flatnonzero(columns).tolist():
-            data = self.copies[index]
-            mujoco.mj_resetData(self._model, data)
-            self.blueprint.task.begin(data, self.rng, start)
-            mujoco.mj_forward(self._model, data)
+            self._begin_copy(self.copies[index], start)
         self._actuation.begin(columns)
         self._begun[columns] = self._now
         self._earliest = int(self._begun.min())
@@ -179,6 +176,20 @@ class MujocoWorld:
         self._last = observation
         return observation
 
+    def _begin_copy(self, data: mujoco.MjData, start: Start) -> None:
+        """A new episode; what breaks down while the body comes to rest is begun again from another draw."""
+        for _ in range(BEGINNINGS):
+            mujoco.mj_resetData(self._model, data)
+            self.blueprint.task.begin(data, self.rng, start)
+            if not is_broken(data):
+                mujoco.mj_forward(self._model, data)
+                return
+            log.info("an episode of %s broke down while it was begun; it is begun again", self.id)
+        raise UnstableError(
+            f"the simulation of {self.id} broke down {BEGINNINGS} times before an episode had begun; "
+            "give it a smaller timestep, or let it start from rest"
+        )
+
     def _joined(self, values: Sequence[Floats]) -> Floats:
         return np.concatenate([value.reshape(self.columns, -1) for value in values], axis=1)
 
@@ -188,10 +199,8 @@ class MujocoWorld:
 
     def _broken(self) -> Flags | None:
         """(E,) whose velocities are not finite or out of bounds; None if all are well."""
-        squares = [data.qvel.dot(data.qvel) for data in self.copies]
-        if all(square < UNSTABLE**2 for square in squares):
-            return None
-        return np.array([not square < UNSTABLE**2 for square in squares])
+        broken = [is_broken(data) for data in self.copies]
+        return np.array(broken) if any(broken) else None
 
 
 def _moves(model: mujoco.MjModel, actuators: Indices, joints: Indices) -> tuple[tuple[int, ...], ...]:
