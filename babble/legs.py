@@ -29,6 +29,9 @@ class Witness:
         None for a block that acts without a latent.
         """
 
+    def passed(self) -> None:
+        """After each environment step of a world whose steps are several: the next one may be seen too."""
+
     def cut(self) -> None:
         """What comes next in the first column does not go on from what was seen of it."""
 

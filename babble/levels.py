@@ -34,6 +34,11 @@ class Stage:
     witness: Witness
     """for whoever steps the world: it shows people the body, at each environment step"""
 
+    def env_steps(self, steps: int) -> int:
+        """What all steps of `world` so far, which are `steps`, were in environment steps of each copy."""
+        undone = self.world.undone if isinstance(self.world, LevelWorld) else 0
+        return steps * self.env_steps_per_step - undone
+
 
 def stage_of(
     world: World,
@@ -78,6 +83,10 @@ class LevelWorld:
         self._each = env_steps_per_step
         self._witness = witness
         self._observation: Floats | None = None
+        self._ended: _Story | None = None
+        """of the last step, if an episode ended within it"""
+        self.undone = 0
+        """environment steps of each copy that were not done, because the simulation broke down before"""
         self.id, self.columns = world.id, world.columns
         self.observation_size = self.action_size = limbs.size
         self.senses: Mapping[str, tuple[int, ...]] = {"latent": (limbs.size,)}
@@ -105,6 +114,7 @@ class LevelWorld:
     def resume(self, observation: Floats) -> Floats:
         """Go on from where the body is, by its present observation (E, n)."""
         self._observation = observation
+        self._ended = None
         self._limbs.move_on()
         return self._limbs.observe(observation)
 
@@ -120,8 +130,9 @@ class LevelWorld:
         return self.resume(self.body.restart(columns))
 
     def posture(self) -> Floats:
-        """(E, p) of the body."""
-        return self.body.posture()
+        """(E, p) of the body; where the last step ended an episode, what it was then."""
+        posture = self.body.posture()
+        return posture if self._ended is None else self._ended.left(posture)
 
     def step(self, action: Floats) -> Step:
         """Give the children their goals by (E, a), and let them act for the steps that these are held.
@@ -134,18 +145,21 @@ class LevelWorld:
                 f"got shape {action.shape}"
             )
         self._limbs.aim(action)
+        self._ended = None
         story = _Story(self.columns)
         for k in range(self._each):
             step = self._step_body(k)
             if step.failed is not None and step.failed.any():
+                self.undone += self._each - 1 - k
                 return replace(step, observation=np.zeros((self.columns, self.observation_size), np.float32))
-            newly = story.add(step)
-            if newly.any() and k < self._each - 1:
-                self._observation = self.body.restart(newly)
+            over = story.add(step, self.body)
+            if over.any() and k < self._each - 1:
+                self._begin_anew(over)
             self._limbs.move_on()
         if not story.ended.any():
             arrived = self._limbs.observe(self.body_observation)
         else:
+            self._ended = story
             arrived = self._limbs.observe(story.arrived(self.body_observation))
             self._limbs.move_on()
         none = None if step.failed is None else np.zeros(self.columns, np.bool_)
@@ -158,7 +172,13 @@ class LevelWorld:
             self._witness.see(before, {**self.relay.above, **self._limbs.seen})
         step = self.body.step(action)
         self._observation = step.observation
+        self._witness.passed()
         return step
+
+    def _begin_anew(self, over: Flags) -> None:
+        self._observation = self.body.restart(over)
+        if over[0]:
+            self._witness.cut()
 
 
 class _Story:
@@ -169,30 +189,36 @@ class _Story:
         self.truncated = np.zeros(columns, np.bool_)
         self._total = np.zeros(columns, np.float32)
         self._steps = np.zeros(columns, np.float32)
-        self._ends = np.zeros((columns, 0), np.float32)
+        self._ends = self._postures = np.zeros((columns, 0), np.float32)
 
     @property
     def ended(self) -> Flags:
         """(E,) whose episode has ended."""
         return np.asarray(self.terminated | self.truncated)
 
-    def add(self, step: Step) -> Flags:
-        """Take a step of the body; returns (E,) whose episode ended with it and had not before."""
+    def add(self, step: Step, body: World) -> Flags:
+        """Take a step of the body; returns (E,) in which an episode ended with it, the first or another."""
         going = ~self.ended
         self._total += np.where(going, step.external_reward, 0)
         self._steps += going
-        newly = (step.terminated | step.truncated) & going
+        over = step.terminated | step.truncated
+        newly = over & going
         if newly.any():
+            posture = body.posture()
             if not self._ends.size:
-                self._ends = step.observation.copy()
-            self._ends[newly] = step.observation[newly]
+                self._ends, self._postures = step.observation.copy(), posture.copy()
+            self._ends[newly], self._postures[newly] = step.observation[newly], posture[newly]
         self.terminated = self.terminated | (step.terminated & going)
         self.truncated = self.truncated | (step.truncated & going)
-        return np.asarray(newly)
+        return np.asarray(over)
 
     def arrived(self, observation: Floats) -> Floats:
         """The observation (E, n), with the end of each episode that ended."""
         return np.where(self.ended[:, None], self._ends, observation).astype(np.float32)
+
+    def left(self, posture: Floats) -> Floats:
+        """The posture (E, p), with that at the end of each episode that ended."""
+        return np.where(self.ended[:, None], self._postures, posture).astype(np.float32)
 
     def reward(self) -> Floats:
         """(E,) the mean per environment step."""

@@ -33,21 +33,28 @@ class ActingModel:
         self.prefix = _prefix(self._session)
         """What all names in it begin with: its block's, or nothing."""
         self._kind = kind
-        self._inputs = _sizes(self._session.get_inputs(), kind, "input", inputs, self.prefix)
+        self.inputs = _sizes(self._session.get_inputs(), kind, "input", inputs, self.prefix)
+        """the size of each input"""
         self._outputs = _sizes(self._session.get_outputs(), kind, "output", outputs, self.prefix)
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Of each input and output; one that is both by name, by its input."""
+        return self._outputs | self.inputs
 
     def feed(self, **arrays: Floats) -> dict[str, Floats]:
         """The inputs as ONNX Runtime takes them. Raises `ModelError` for other sizes."""
         for name, array in arrays.items():
-            if array.ndim != 2 or array.shape[1] != self._inputs[name]:
-                size = self._inputs[name]
+            if array.ndim != 2 or array.shape[1] != self.inputs[name]:
+                size = self.inputs[name]
                 raise ModelError(f"the {self._kind} takes {name} of size {size}, got shape {array.shape}")
         return {
             self.prefix + name: np.ascontiguousarray(array, dtype=np.float32)
             for name, array in arrays.items()
         }
 
-    def _run(self, **arrays: Floats) -> list[Floats]:
+    def run(self, **arrays: Floats) -> list[Floats]:
+        """The outputs. Raises `ModelError` where there are none."""
         given = self.feed(**arrays)
         try:
             return [np.asarray(value) for value in self._session.run(None, given)]
@@ -61,12 +68,12 @@ class EncoderModel(ActingModel):
 
     def __init__(self, onnx: bytes) -> None:
         super().__init__(onnx, "encoder", ("observation",), ("latent",))
-        self.observation_size = self._inputs["observation"]
+        self.observation_size = self.inputs["observation"]
         self.latent_dim = self._outputs["latent"]
 
     def latent(self, observation: Floats) -> Floats:
         """z (E, d), each row on the simplex."""
-        return self._run(observation=observation)[0]
+        return self.run(observation=observation)[0]
 
 
 class PolicyModel(ActingModel):
@@ -74,14 +81,14 @@ class PolicyModel(ActingModel):
 
     def __init__(self, onnx: bytes) -> None:
         super().__init__(onnx, "policy", ("latent", "goal"), ("mean", "log_std"))
-        self.latent_dim = self._inputs["latent"]
+        self.latent_dim = self.inputs["latent"]
         self.action_size = self._outputs["mean"]
-        if self._inputs["goal"] != self.latent_dim or self._outputs["log_std"] != self.action_size:
+        if self.inputs["goal"] != self.latent_dim or self._outputs["log_std"] != self.action_size:
             raise ModelError("the policy's goal must be as long as its latent, and its log_std as its mean")
 
     def distribution(self, z: Floats, g: Floats) -> tuple[Floats, Floats]:
         """The mean and the log standard deviation (E, a)."""
-        mean, log_std = self._run(latent=z, goal=g)
+        mean, log_std = self.run(latent=z, goal=g)
         return mean, log_std
 
     def act(

@@ -2,7 +2,8 @@
 
 An ONNX file is a protocol buffer, and concatenated messages merge: the bytes of several models, one after
 the other, are one model with all their nodes, inputs and outputs, if no name comes twice. The learners
-export a block's models under the block's name, so that none does; models of another origin run one by one.
+export a block's models under the block's name, so that none does; models of another origin run one by one,
+and so do those that, joined, do not compute what each does alone.
 """
 
 from collections.abc import Mapping
@@ -13,6 +14,8 @@ import onnxruntime
 
 from babble.policy.act import FAULTS, LOG_2PI, ActingModel, Floats, Mode, ModelError, session_of
 
+TRIED_ROWS, TRIED_TOLERANCE = 2, 1e-4
+"""Models that are joined are compared on so many random rows with each alone."""
 Drawn = tuple[Floats, Floats]
 """Actions (E, a) and their log probabilities (E,)."""
 
@@ -42,7 +45,6 @@ class Encoders:
     """The encoders of several blocks, by block."""
 
     def __init__(self, models: Mapping[str, Encodes]) -> None:
-        """Raises `ModelError` where they cannot be joined."""
         self.models = dict(models)
         self._joined = _Joined.of(self.models)
 
@@ -58,7 +60,6 @@ class Policies:
     """The policies of several blocks, by block."""
 
     def __init__(self, models: Mapping[str, Acts]) -> None:
-        """Raises `ModelError` where they cannot be joined."""
         self.models = dict(models)
         self._joined = _Joined.of(self.models)
 
@@ -120,11 +121,26 @@ class _Joined:
         if len(models) < 2 or len(prefixes) < len(models):
             return None
         try:
-            return cls(joinable, session_of(b"".join(model.onnx for model in joinable.values())))
-        except FAULTS as error:
-            raise ModelError(
-                f"the models of {', '.join(models)} cannot be joined into one ({type(error).__name__})"
-            ) from None
+            joined = cls(joinable, session_of(b"".join(model.onnx for model in joinable.values())))
+            return joined if joined._agrees() else None
+        except ModelError:
+            return None
+        except FAULTS:
+            return None
+
+    def _agrees(self) -> bool:
+        """Whether it computes what each model does alone: a name that comes twice would mix them up."""
+        rng = np.random.default_rng(0)
+        rows = {
+            block: {name: rng.random((TRIED_ROWS, size), np.float32) for name, size in model.inputs.items()}
+            for block, model in self._models.items()
+        }
+        alone = [value for block, model in self._models.items() for value in model.run(**rows[block])]
+        together = self.run(rows)
+        return len(alone) == len(together) and all(
+            one.shape == other.shape and np.allclose(one, other, atol=TRIED_TOLERANCE)
+            for one, other in zip(alone, together, strict=True)
+        )
 
     def run(self, given: Mapping[str, Mapping[str, Floats]]) -> list[Floats]:
         """All outputs, in the order of the blocks."""

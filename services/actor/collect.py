@@ -42,8 +42,10 @@ class Finished:
 class Collector(Protocol):
     """One phase's way of acting."""
 
-    env_steps: int
-    """Environment steps done so far, summed over the columns."""
+    @property
+    def env_steps(self) -> int:
+        """Environment steps done so far, summed over the columns."""
+        ...
 
     def at_border(self) -> bool:
         """True between two segments."""
@@ -68,7 +70,6 @@ class SegmentCollector:
         breakdowns: Breakdowns,
     ) -> None:
         """`segment_steps` are those of the stage, `observation` (E, n) is the stage's at the beginning."""
-        self.env_steps = 0
         self._stage = stage
         self._way = way
         self._observation = observation
@@ -78,6 +79,11 @@ class SegmentCollector:
         self._segment_steps = segment_steps
         self._builders = {block: SegmentBuilder(segment_steps, self._columns) for block in stage.observed}
         self._steps = self._first_step = 0
+
+    @property
+    def env_steps(self) -> int:
+        """See `Collector.env_steps`."""
+        return self._columns * self._stage.env_steps(self._steps)
 
     @property
     def body_observation(self) -> Floats:
@@ -107,7 +113,6 @@ class SegmentCollector:
             stage.witness.see(before, self._way.seen)
         step = stage.world.step(action)
         self._steps += 1
-        self.env_steps += self._columns * stage.env_steps_per_step
         if step.failed is not None and step.failed.any():
             self._drop(step, step.failed)
             return []

@@ -25,7 +25,6 @@ class EvaluationCollector:
         witness: Witness,
     ) -> None:
         """Raises RuntimeError if models of the blocks below are not held."""
-        self.env_steps = 0
         self.mode: PolicyMode = "mean"
         """of the next walk; one that has begun goes on as it began"""
         self._term = term
@@ -37,6 +36,13 @@ class EvaluationCollector:
         self._walk: Walk | None = None
         self._walk_mode: PolicyMode = "mean"
         self._held: dict[str, Held] = {}
+        self._steps = 0
+        """of the stage; those of attempts that broke down count too"""
+
+    @property
+    def env_steps(self) -> int:
+        """See `Collector.env_steps`."""
+        return self._columns * self._stage.env_steps(self._steps)
 
     def at_border(self) -> bool:
         """True between two walks."""
@@ -48,7 +54,7 @@ class EvaluationCollector:
             self._walk = self._begin()
         walk, before = self._walk, self._walk.steps
         done = walk.advance(steps)
-        self.env_steps += (walk.steps - before) * self._columns * self._stage.env_steps_per_step
+        self._steps += walk.steps - before
         if not done:
             return []
         self._walk = None
@@ -93,7 +99,6 @@ class EvaluationCollector:
         }
         if legs.external_reward is not None:
             arrays["external_reward"] = legs.external_reward
-        done = self.env_steps // (self._columns * self._stage.env_steps_per_step)
         return Finished(
             block=block,
             arrays=arrays,
@@ -102,6 +107,6 @@ class EvaluationCollector:
             policy_version=self._held[block].policy_version,
             steps=steps,
             columns=self._columns,
-            # Attempts that broke down count too, so that the gap can be seen.
-            first_step=done - steps,
+            # With attempts that broke down, so that the gap can be seen.
+            first_step=self._steps - steps,
         )

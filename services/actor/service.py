@@ -61,7 +61,7 @@ class Actor:
         )
         fingerprint = interface.fingerprint()
         self._observation = first_observation(self._body)
-        self._shelf = ModelShelf(block.name for block in settings.block)
+        self._shelf = ModelShelf(self._body.tree)
         self._outbox = Outbox(
             context.bus,
             run=context.run,

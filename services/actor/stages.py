@@ -52,6 +52,10 @@ def staged(term: Term, body: Body, shelf: ModelShelf, witness: Witness) -> Stage
     """The stage of a term, with the models held of the blocks below. Raises RuntimeError if one is not."""
     tree = body.tree
     below = sorted(blocks_below(tree, term.blocks))
+    forms = {block: term.settings.of_block(block).policy.subgoals for block in (*below, *term.blocks)}
+    if term.phase is Phase.BABBLE:
+        # Random goals are vertices, whatever form the policy gives to its own.
+        forms |= dict.fromkeys(term.blocks, "one-hot")
     return stage_of(
         body.world,
         tree,
@@ -59,7 +63,7 @@ def staged(term: Term, body: Body, shelf: ModelShelf, witness: Witness) -> Stage
         {block: shelf.of(block).models() for block in below},
         decision_steps=term.settings.decision_steps,
         steps_per_action=term.env_steps,
-        subgoals={block: term.settings.of_block(block).policy.subgoals for block in (*below, *term.blocks)},
+        subgoals=forms,
         witness=witness,
     )
 

@@ -47,6 +47,8 @@ class Views(Witness):
         self._shown: dict[int, Shown | None] = {}
         self._now_secs = 0.0
         self._env_steps = 0
+        self._passed = 0
+        """environment steps of each column since the last turn, where a level's step is several"""
         self.enter(0, world)
 
     def enter(self, term: int, world: World, limbs: Collection[str] = ()) -> None:
@@ -70,7 +72,18 @@ class Views(Witness):
         To be called after each step from `quiet_secs` on, and while there are none; `env_steps` are those
         of this life, summed over the columns.
         """
-        self._now_secs, self._env_steps = now_secs, env_steps
+        self._env_steps, self._passed = env_steps, 0
+        self._look(now_secs)
+
+    def passed(self) -> None:
+        """See `Witness.passed`: what falls due within a level's step does not wait for its end."""
+        self._passed += 1
+        now_secs = self._context.clock.now_secs()
+        if now_secs >= self.quiet_secs:
+            self._look(now_secs)
+
+    def _look(self, now_secs: float) -> None:
+        self._now_secs = now_secs
         if self._poses.due(now_secs):
             self._play()
         next_secs = min(self._latents.due_secs, self._images.due_secs)
@@ -92,7 +105,7 @@ class Views(Witness):
 
     @property
     def _env_step(self) -> int:
-        return self._env_steps // self._world.columns
+        return self._env_steps // self._world.columns + self._passed
 
     def _follow(self, seen: Mapping[str, Seen | None]) -> None:
         posture = self._world.posture()
@@ -121,7 +134,7 @@ class Views(Witness):
             self._publish(
                 "latent", block, {"latent": latent[:columns], "goal": goal[:columns], "trail": trail, **place}
             )
-        if not acted_on:
+        if self._limbs.issuperset(acted_on):
             self._publish("posture", ALL_BLOCKS, body)
 
     def _publish_images(self, observation: Floats) -> None:

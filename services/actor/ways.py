@@ -125,7 +125,10 @@ class _ModelWay:
             return
         self._held = newest
         models = {block: held.models() for block, held in newest.items()}
-        self._encoders = Encoders({block: each.encoder for block, each in models.items()})
+        encoders = {block: each.encoder for block, each in models.items()}
+        if encoders != self._encoders.models:
+            # Policies are new far more often, and joining takes as long as some steps.
+            self._encoders = Encoders(encoders)
         self._policies = Policies({block: each.policy for block, each in models.items()})
 
     def _goals(self) -> dict[str, Floats]:

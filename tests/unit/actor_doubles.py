@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from babble.blocks import BlockSpec, BlockTree
 from services.actor.models import Held, ModelShelf
 
 
@@ -31,6 +32,9 @@ class Push:
 class Shelf(ModelShelf):
     """A shelf with the models above."""
 
-    def put(self, policy_version: int, actuators: int = 3) -> None:
+    def __init__(self, tree: BlockTree | None = None) -> None:
+        super().__init__(tree or BlockTree([BlockSpec("body", 2)], 1, 1))
+
+    def put(self, policy_version: int, actuators: int = 3, block: str = "body") -> None:
         policy = Push(policy_version, actuators)
-        self._held["body"] = Held(Half(), 1, policy, policy_version)  # type: ignore[arg-type]
+        self._held[block] = Held(Half(), 1, policy, policy_version)  # type: ignore[arg-type]

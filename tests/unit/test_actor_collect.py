@@ -28,7 +28,7 @@ SETTINGS = parse(
 
 @pytest.fixture
 def shelf() -> Shelf:
-    shelf = Shelf(["body"])
+    shelf = Shelf()
     shelf.put(1)
     return shelf
 

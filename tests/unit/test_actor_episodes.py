@@ -48,7 +48,7 @@ class Acting:
         tree = tree_on(settings, self.world.observation_size, self.world.action_size)
         self.body = Body.of(self.world, tree)
         self.breakdowns = Breakdowns("Episodic")
-        self.shelf = Shelf(["body"])
+        self.shelf = Shelf()
         self.shelf.put(1, actuators=1)
         rng, witness = np.random.default_rng(1), witness or Witness()
         term = Term.of(phase, ["body"], settings)

@@ -200,6 +200,33 @@ def test_a_latent_view_has_the_newest_step_of_some_columns_and_the_way_of_the_fi
         np.testing.assert_array_equal(view.arrays["path"][:, 0], way)
 
 
+def test_within_a_step_of_a_level_each_step_of_the_body_is_numbered_and_shown_in_time() -> None:
+    showing = Showing(poses_per_sec=10)
+    showing.step(0.0, acts=False)
+    for _ in range(90):
+        latent = np.zeros((COLUMNS, 2), np.float32)
+        if showing.views.looking:
+            showing.views.see(np.zeros((COLUMNS, 1), np.float32), {"body": (latent, latent)})
+        showing.world.steps += 1
+        showing.clock.advance(0.03)
+        showing.views.passed()
+    showing.step(0.0, acts=False)
+    times = [view.env_step for view in showing.of("latent")]
+    assert len(times) == pytest.approx(2.7 * 5, abs=3)
+    assert times == sorted(set(times)), "no two pictures are of one step"
+    steps = [pose.env_step for pose in showing.of("pose")]
+    assert len(steps) == pytest.approx(27, abs=3)
+    assert [pose.arrays["position"][0, 0] for pose in showing.of("pose")] == steps
+
+
+def test_where_only_limbs_act_on_latents_the_body_is_shown_all_the_same() -> None:
+    showing = Showing()
+    showing.views.enter(1, showing.world, ["finger"])  # type: ignore[arg-type]
+    showing.run(1, 0.01, blocks=("finger",))
+    assert showing.of("posture"), "as the block above babbles, it has no latent"
+    assert all("posture" not in view.arrays for view in showing.of("latent"))
+
+
 def test_each_block_has_a_view_of_its_own() -> None:
     showing = Showing().run(1, 0.01, blocks=("along", "across"))
     blocks = [view.block for view in showing.of("latent")]

@@ -3,6 +3,7 @@
 from itertools import pairwise
 
 import numpy as np
+import onnx
 import pytest
 
 from babble.onnx_model import EncoderWeights, Layer, PolicyWeights, encoder_onnx, policy_onnx
@@ -89,6 +90,38 @@ def test_models_whose_names_are_not_their_own_still_run(prefix: str) -> None:
     found = Encoders(models).latents(seen())
     for block, model in models.items():
         np.testing.assert_array_equal(found[block], model.latent(seen()[block]))
+
+
+def with_inner_names_of(model: EncoderModel) -> EncoderModel:
+    """The same model, in which only inputs and outputs have the block's name."""
+    proto = onnx.load_from_string(model.onnx)
+    for constant in proto.graph.initializer:
+        constant.name = constant.name.removeprefix(model.prefix)
+    for node in proto.graph.node:
+        constants = {constant.name for constant in proto.graph.initializer}
+        plain = [name.removeprefix(model.prefix) for name in node.input]
+        node.input[:] = [
+            short if short in constants else name for name, short in zip(node.input, plain, strict=True)
+        ]
+    return EncoderModel(proto.SerializeToString())
+
+
+def test_models_that_would_mix_each_others_numbers_up_run_one_by_one() -> None:
+    models = {
+        block: with_inner_names_of(
+            EncoderModel(
+                encoder_onnx(
+                    EncoderWeights(np.zeros(2, np.float32), 1.0, layers(np.random.default_rng(seed), 2, 4)),
+                    block,
+                )
+            )
+        )
+        for seed, block in enumerate(["thumb", "toe"])
+    }
+    observation = np.random.default_rng(5).standard_normal((COLUMNS, 2)).astype(np.float32)
+    found = Encoders(models).latents(dict.fromkeys(models, observation))
+    for block, model in models.items():
+        np.testing.assert_array_equal(found[block], model.latent(observation))
 
 
 def test_a_block_that_sees_too_much_is_named_by_size() -> None:
