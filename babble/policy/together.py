@@ -123,9 +123,7 @@ class _Joined:
         try:
             joined = cls(joinable, session_of(b"".join(model.onnx for model in joinable.values())))
             return joined if joined._agrees() else None
-        except ModelError:
-            return None
-        except FAULTS:
+        except (ModelError, *FAULTS):
             return None
 
     def _agrees(self) -> bool:
