@@ -123,7 +123,9 @@ class _Joined:
         try:
             joined = cls(joinable, session_of(b"".join(model.onnx for model in joinable.values())))
             return joined if joined._agrees() else None
-        except (ModelError, *FAULTS):
+        except ModelError:
+            return None
+        except FAULTS:
             return None
 
     def _agrees(self) -> bool:

@@ -6,7 +6,7 @@ run (terms, acknowledgements, checkpoints, status) is here and the same for all 
 
 import json
 import logging
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from pickle import UnpicklingError
 from typing import Any
@@ -15,7 +15,7 @@ from protocol import keys
 from protocol.codec import encode
 from protocol.gate import Gate
 from protocol.latest import LatestPhase
-from protocol.messages import Phase, PhaseAnnounced, Progress, Segment
+from protocol.messages import MAX_ENTRIES, Phase, PhaseAnnounced, Progress, Segment
 from protocol.refusal import Reason, Refused
 from services.runtime.allotment import Allotment
 from services.runtime.bus import Frame, Inbox
@@ -25,7 +25,7 @@ from services.runtime.freezing import freeze
 from services.runtime.intake import Intake
 from services.runtime.process import Context
 from services.runtime.settings import RunSettings
-from services.runtime.sharing import name_of
+from services.runtime.sharing import claim, name_of
 from services.runtime.spool import Spool
 from services.runtime.status import Heart
 from services.runtime.work import Work, version_of
@@ -35,6 +35,10 @@ log = logging.getLogger(__name__)
 IDLE_SECS = 0.1
 NEWS_SECS = 0.2
 """While it trains, its measurements are published so often: they are the learning curves."""
+ADVANCE_SECS = 0.25
+"""No block's quantum is begun so long after the first one's: with many blocks too, acks keep flowing."""
+MOST_METRICS = MAX_ENTRIES - 16
+"""Measurements in one status; it has the process's own besides."""
 LONGEST_SPOOL_BYTES = 256 << 20
 """A spool this long is checkpointed away before its time."""
 
@@ -50,6 +54,7 @@ class Learner:
         self._works = {work.block: work for work in works}
         self._fingerprint = fingerprint
         self._folder = context.run_dir / "checkpoints" / name_of(service, context.index)
+        self._claim = claim(self._folder)
         settings = context.settings
         self._allotments = {block: _allotment(settings) for block in self._works}
         self._control = Inbox(context.wakeup, max_frames=keys.DELIVERY["phase"].keep)
@@ -59,6 +64,10 @@ class Learner:
         self._announced: PhaseAnnounced | None = None
         self._published: dict[str, int] = {}
         self._finished: set[str] = set()
+        self._to_advance = deque(self._works)
+        self._to_tell = deque(self._works)
+        self._rested: dict[str, bytes] = {}
+        """States of works at rest, which do not change until another level is at work."""
         self._checkpoints = Checkpoints(self._folder)
         self._spool = Spool(self._folder)
         self._generation = 0
@@ -131,6 +140,8 @@ class Learner:
         if self._announced is not None and announced.term <= self._announced.term:
             return
         self._catch_up(announced)
+        if self._announced is None or announced.blocks.keys() != self._announced.blocks.keys():
+            self._rested.clear()
         freeze(self._works, announced.frozen, self._context.run_dir)
         log.info("term %d: %s", announced.term, announced.phase)
         self._announced = announced
@@ -197,16 +208,29 @@ class Learner:
         self._known = set(present)
 
     def _advance(self, now_secs: float) -> bool:
-        busy = False
-        for block, work in self._at_work().items():
-            if block in self._finished or work.progress() is None:
+        """A quantum of each block's work in turn, or of some, where that takes long; True if more is to do.
+
+        However many blocks have ended their work, one checkpoint holds it.
+        """
+        clock, at_work = self._context.clock, self._at_work()
+        busy, ended, began_secs = False, set[str](), clock.now_secs()
+        for _ in range(len(self._to_advance)):
+            if clock.now_secs() - began_secs >= ADVANCE_SECS:
+                busy = True
+                break
+            block = self._to_advance[0]
+            self._to_advance.rotate(-1)
+            work = at_work.get(block)
+            if work is None or block in self._finished or work.progress() is None:
                 continue
             busy = work.advance() or busy
             progress = work.progress()
             if progress is not None and progress.done >= progress.wanted:
-                self._checkpoint(now_secs)
-                self._finished.add(block)
-                self._urgent = True
+                ended.add(block)
+        if ended:
+            self._checkpoint(now_secs)
+            self._finished |= ended
+            self._urgent = True
         self._publish_models()
         return busy
 
@@ -251,11 +275,20 @@ class Learner:
             "received": self._received,
             "stale": self._stale,
         }
-        payload = {f"work/{block}": work.state() for block, work in self._works.items()}
+        payload = {f"work/{block}": state for block, state in self._states().items()}
         self._generation += 1
         self._checkpoints.save(self._generation, {"book": json.dumps(book).encode(), **payload})
         self._spool.rotate(self._generation)
         self._checkpointed_secs = now_secs
+
+    def _states(self) -> dict[str, bytes]:
+        at_work = self._at_work()
+        self._rested = {
+            block: self._rested.get(block) or work.state()
+            for block, work in self._works.items()
+            if block not in at_work
+        }
+        return self._rested | {block: work.state() for block, work in at_work.items()}
 
     def _resume(self) -> None:
         self._checkpointed_secs = self._context.clock.now_secs()
@@ -315,7 +348,7 @@ class Learner:
             "totals": totals,
             "progress": [p.model_copy(update={"finished": p.block in self._finished}) for p in progress],
             "scores": [score for work in at_work for score in work.scores()],
-            "metrics": {name: value for work in at_work for name, value in work.metrics().items()},
+            "metrics": self._metrics(),
             "queue_depth": self._intake.queue_depth,
             "lost": ledger.lost,
             "duplicated": ledger.duplicated,
@@ -323,6 +356,19 @@ class Learner:
             "waiting_for": self._waiting(progress),
             "last_error": self._gate.last_refusal,
         }
+
+    def _metrics(self) -> dict[str, float]:
+        """What the blocks at work measure; of more than a status holds, some, and the next ones next time."""
+        told: dict[str, float] = {}
+        at_work = self._at_work()
+        for _ in range(len(self._to_tell)):
+            work = at_work.get(self._to_tell[0])
+            found = {} if work is None else work.metrics()
+            if len(told) + len(found) > MOST_METRICS:
+                break
+            told |= found
+            self._to_tell.rotate(-1)
+        return told
 
     def _refused(self) -> dict[str, int]:
         ledger = self._intake.ledger

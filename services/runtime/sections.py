@@ -17,7 +17,7 @@ Fraction = Annotated[float, Field(gt=0, le=1)]
 class Section(BaseModel):
     """A table of the TOML file."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class WorldSettings(Section):
@@ -58,7 +58,7 @@ class LevelSettings(Section):
     """One `[[level]]`, from level 0 up: what is otherwise for its blocks than the run's tables say."""
 
     decision_steps: Positive | None = None
-    """environment steps for which one action of the level holds; None for 1, 10, then 3 x the level below"""
+    """environment steps for which one action of the level holds; None for 1, 10, then 5 x the level below"""
     segment_steps: Annotated[int, Field(ge=2, le=65536)] | None = None
     """instead of `actors.segment_steps`"""
     phases: dict[str, Any] = {}
@@ -179,9 +179,9 @@ class GoalSettings(Section):
     """eq. 12, eq. 9 or eq. 8"""
     sparse_radius: PositiveFloat = 0.1
     """epsilon_g of eq. 8"""
-    goal_weight: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1.0
+    goal_weight: Annotated[float, Field(ge=0)] = 1.0
     """of the reward above in what the policy is trained on"""
-    external_weight: Annotated[float, Field(allow_inf_nan=False)] = 0.0
+    external_weight: float = 0.0
     """of the task's own reward (eq. 1 for standing up); a negative one is a cost"""
 
     @model_validator(mode="after")

@@ -65,6 +65,8 @@ __all__ = [
     "parse_announced",
 ]
 
+MOST_BLOCKS = 100
+"""A status names the two models of each block, and has two scores of each, within the protocol's limits."""
 LONGEST_SHOWN = 200
 """So many characters of a wrong value, or of its key, get into a sentence."""
 DECIDING = frozenset({Phase.GROUND, Phase.PRACTISE, Phase.EVALUATE})
@@ -79,7 +81,7 @@ class RunSettings(Section):
     scenario: Name
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     world: WorldSettings = WorldSettings()
-    block: list[BlockSettings] = Field(default=[BlockSettings()])
+    block: list[BlockSettings] = Field(default=[BlockSettings()], max_length=MOST_BLOCKS)
     level: list[LevelSettings] = Field(default=[])
     """what is otherwise for the blocks of level 0, 1...; may be left out"""
     actors: ActorSettings = ActorSettings()

@@ -5,10 +5,15 @@ checkpoints; by the run's settings each block has exactly one of them (`RunSetti
 """
 
 import argparse
+import fcntl
 import os
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from typing import TextIO
 
+from services.runtime.checkpoint import refuse_storage
+from services.runtime.errors import CheckpointError
 from services.runtime.models import ModelKind
 from services.runtime.process import Context, Service
 from services.runtime.settings import RunSettings, SettingsError
@@ -54,6 +59,31 @@ def own_blocks(settings: RunSettings, kind: ModelKind, index: int) -> list[tuple
 def name_of(service: str, index: int) -> str:
     """What a learner's log, process and checkpoints are called: for the first of its kind as the service."""
     return f"{service}-{index}" if index else service
+
+
+def claim(folder: Path) -> TextIO:
+    """Hold a learner's folder for as long as the file returned is open, at most until the process ends.
+
+    Raises `CheckpointError` while another one holds it, or both would write the same checkpoints and models,
+    and `StorageError` if the disk refuses.
+    """
+    path = folder / "lock"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        file = path.open("a")
+    except OSError as error:
+        refuse_storage(path, error)
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        file.close()
+        if not isinstance(error, BlockingIOError):
+            refuse_storage(path, error)
+        raise CheckpointError(
+            f"another process is this learner already: it holds {path}; end it, or give this one an index of "
+            f"its own by --index or ${VARIABLE}"
+        ) from None
+    return file
 
 
 def _index(text: str) -> int:

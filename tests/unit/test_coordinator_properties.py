@@ -1,11 +1,13 @@
 """What holds of the coordinator's machine whatever it hears."""
 
+import json
 import random
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from services.coordinator.journal import parse, replay
 from services.coordinator.machine import decide
 from services.coordinator.state import Plan, State, blocks_at_work
 from services.coordinator.table import NEXT, Phase
@@ -142,6 +144,18 @@ def test_any_event_in_any_state_moves_legally_or_changes_nothing(history: list[E
         assert (at.of_encoder, at.of_policy) <= (at.encoder, at.policy)
     assert 0 <= after.iteration <= HAND.iterations[after.level]
     assert len({row.key for row in after.scores}) == len(after.scores)
+
+
+@given(histories(HAND))
+@settings(max_examples=100, deadline=None)
+def test_what_changed_the_state_leads_to_it_again_from_the_journal(history: list[Event]) -> None:
+    state, lines = State(), list[bytes]()
+    for event in history:
+        before = state
+        state, _ = decide(HAND, before, event)
+        if state != before:
+            lines.append(json.dumps({"event": type(event).__name__, "said": asdict(event)}).encode())
+    assert replay(HAND, map(parse, lines)) == state
 
 
 SHARED = replace(

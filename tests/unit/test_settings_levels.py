@@ -7,7 +7,14 @@ import pytest
 import tomli_w
 
 from protocol.messages import Phase
-from services.runtime.settings import RunSettings, SettingsError, announced_text, parse, parse_announced
+from services.runtime.settings import (
+    MOST_BLOCKS,
+    RunSettings,
+    SettingsError,
+    announced_text,
+    parse,
+    parse_announced,
+)
 
 HAND = """
 scenario = "hand"
@@ -202,3 +209,19 @@ def test_blocks_that_make_no_tree_have_no_levels(blocks: list[dict[str, Any]], s
     for ask in (lambda: broken.levels, lambda: broken.decision_steps, lambda: broken.of_block("a")):
         with pytest.raises(SettingsError, match=sentence):
             ask()
+
+
+@pytest.mark.parametrize("number", ["nan", "inf"])
+def test_a_number_that_is_none_is_refused_at_every_level(number: str) -> None:
+    for table in (f"[level.policy]\nlog_std = {number}", f"[level.policy]\nlearning_rate = {number}"):
+        scenario = f'scenario = "x"\n[[level]]\n{table}'
+        with pytest.raises(SettingsError, match=r"level\.0\.policy\.l\w+: .*finite number"):
+            parse(tomllib.loads(scenario), origin="x")
+
+
+def test_more_blocks_than_a_status_can_name_are_refused() -> None:
+    blocks = [{"name": f"b{number}"} for number in range(MOST_BLOCKS + 1)]
+    assert len(parse({"scenario": "x", "block": blocks[:-1]}, origin="x").block) == MOST_BLOCKS
+    with pytest.raises(SettingsError, match=rf"^x: block: .*at most {MOST_BLOCKS} items") as refusal:
+        parse({"scenario": "x", "block": blocks}, origin="x")
+    assert len(str(refusal.value)) < 500
