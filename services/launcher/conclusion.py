@@ -8,7 +8,7 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 
-from services.launcher.lines import Row, best_words, brief, score_table
+from services.launcher.lines import Row, best_words, brief, has_many_blocks, kept_table, score_table
 from services.launcher.run_folder import RunFolder
 from services.runtime.checkpoint import DRAFT_SUFFIX
 
@@ -35,7 +35,11 @@ def print_scores(folder: RunFolder) -> None:
 
 
 def print_rows(rows: Sequence[Row], best: Mapping[str, Row], where: str) -> None:
-    """The newest rows, `where` all of them are, and which iteration is kept."""
+    """The newest rows, `where` all of them are, and which iteration is kept; of many blocks only that."""
+    if has_many_blocks(rows):
+        print("\n".join(kept_table(rows, best)))
+        print(f"each block's kept iteration; all rows are in {where}")
+        return
     shown = brief(rows, best, MOST_ITERATIONS)
     print("\n".join(score_table(shown)))
     if len(shown) < len(rows):

@@ -49,7 +49,7 @@ def in_words(rollout: Rollout, version: Version, world: World) -> list[str]:
     ends = ends_of(rollout, version.block)
     (anew,) = [row for row in rollout.scores() if row.block == version.block]
     return [
-        "In fresh worlds, from random starts and with mean actions:",
+        f"In {rollout.path.shape[1]} fresh worlds, from random starts and with mean actions:",
         "",
         *_places(rollout, version.block, ends, world),
         *_named(anew),

@@ -3,18 +3,21 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from services.launcher.learning import encoder_words, model_words, policy_words
+from services.launcher.learning import encoder_words, learning_table, model_words, policy_words
 from services.launcher.lines import (
+    MOST_BLOCKS,
     Line,
     Signs,
     amount_words,
+    block_table,
     clipped,
     clock_words,
     packed,
     score_table,
+    shortened,
     wrapped,
 )
-from services.launcher.members import BlockWork, Picture, by_learner
+from services.launcher.members import BlockWork, Picture, by_learner, slowest, together
 from services.launcher.roster import roster
 from services.runtime.phases import phase_words
 
@@ -22,6 +25,8 @@ MOST_ROWS = 8
 """Of the table of scores."""
 MOST_ERRORS = 3
 MOST_EVENTS = 8
+MOST_TOLD = 2
+"""Blocks whose learning is told in sentences; of more there is a table."""
 LONGEST_BAR = 30
 LEAST_BAR = 6
 LAST_IMPORTANT = 5
@@ -131,7 +136,7 @@ def _phase(picture: Picture, now_secs: float, width: int, signs: Signs) -> Secti
     if picture.announced is None:
         return _section(1, [((picture.opening, "bold cyan"),)], 1)
     rows: list[Line] = [((phase_words(picture.announced), "bold cyan"),)]
-    rows += _works(picture, now_secs, width, signs)
+    rows += _works(picture, now_secs, width, signs, most=MOST_BLOCKS)
     if not picture.linked:
         rows.append((("the link to the router is lost; it comes back by itself", "yellow"),))
     for sentence in picture.waiting()[:3]:
@@ -139,11 +144,20 @@ def _phase(picture: Picture, now_secs: float, width: int, signs: Signs) -> Secti
     return _section(1, rows, 4)
 
 
-def _works(picture: Picture, now_secs: float, width: int, signs: Signs) -> list[Line]:
-    """A bar for each block at work, learner by learner where there are several."""
-    works = picture.work(now_secs)
-    groups = by_learner(works)
-    longest = max((len(work.block) for work in works), default=0)
+def _works(
+    picture: Picture, now_secs: float, width: int, signs: Signs, most: int | None = None
+) -> list[Line]:
+    """A bar for each block at work, learner by learner where there are several.
+
+    Where a learner has more than `most`: one for all together, then one for each of the slowest.
+    """
+    groups = by_learner(picture.work(now_secs))
+    if most is not None:
+        groups = {
+            life: [together(group), *slowest(group, most - 1)] if len(group) > most + 1 else group
+            for life, group in groups.items()
+        }
+    longest = max((len(work.block) for group in groups.values() for work in group), default=0)
     rows: list[Line] = []
     for life, group in groups.items():
         rows += [((life or "no learner yet", ""),)] if len(groups) > 1 else []
@@ -175,12 +189,20 @@ def _errors(picture: Picture, width: int) -> Section:
 
 
 def _learning(picture: Picture, width: int, signs: Signs) -> Section:
+    measured = picture.measured()
+    if len(measured) > MOST_TOLD:
+        table = learning_table(picture, width)
+        return Section(rank=4, wanted=len(table), least=4, fit=lambda count: _plain(shortened(table, count)))
     rows: list[Line] = []
-    for block, measured in picture.measured().items():
+    for block, values in measured.items():
         rows.append(((f"{block}: ", "bold"), (model_words(picture, block), "")))
-        for words in (encoder_words(measured), policy_words(measured, picture.goals)):
+        for words in (encoder_words(values), policy_words(values, picture.goals)):
             rows += [((f"  {text}", ""),) for text in packed(words, width - 2, signs)]
     return _section(4, rows, 3)
+
+
+def _plain(texts: Sequence[str]) -> list[Line]:
+    return [((text, ""),) for text in texts]
 
 
 def _members(picture: Picture, now_secs: float, width: int) -> Section:
@@ -203,16 +225,22 @@ def _wire(picture: Picture, width: int, signs: Signs) -> Section:
 
 
 def _scores(picture: Picture) -> Section:
-    rows = min(len(picture.scores), MOST_ROWS)
-
-    def fit(count: int) -> list[Line]:
-        blocks = len({str(row["block"]) for row in picture.scores[-rows:]})
-        heads = 1 + (blocks if blocks > 1 else 0)
-        newest = max(1, count - heads)
-        return [((text, ""),) for text in score_table(picture.scores, newest=newest)[:count]]
-
-    wanted = len(score_table(picture.scores, newest=rows)) if rows else 0
-    return Section(rank=6, wanted=wanted, least=3, fit=fit)
+    """The newest of the only block at work; of several the newest of each."""
+    at_work = picture.announced.blocks if picture.announced else {}
+    scores = [row for row in picture.scores if row["block"] in at_work] or picture.scores
+    if len({row["block"] for row in scores}) > 1:
+        table = block_table(scores)
+        return Section(
+            rank=6, wanted=len(table), least=4, fit=lambda count: _plain(block_table(scores, most=count))
+        )
+    rows = min(len(scores), MOST_ROWS)
+    wanted = len(score_table(scores, newest=rows)) if rows else 0
+    return Section(
+        rank=6,
+        wanted=wanted,
+        least=3,
+        fit=lambda count: _plain(score_table(scores, newest=max(1, count - 1))[:count]),
+    )
 
 
 def _events(picture: Picture, width: int) -> Section:

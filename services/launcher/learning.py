@@ -22,6 +22,17 @@ POLICY = (
 )
 """What a learner measures, and how it is called here."""
 
+ABREAST = (
+    ("encoder/loss", "InfoNCE"),
+    ("policy/reward_mean", "reward"),
+    ("policy/approx_kl", "KL"),
+    ("policy/entropy", "entropy"),
+    ("encoder/accuracy", "accuracy"),
+    ("policy/lag_mean", "lag"),
+)
+"""Of many blocks, the most important first: in narrow terminals the last ones are left out."""
+CELL = 8
+
 Measured = Mapping[str, float]
 
 
@@ -40,6 +51,20 @@ def model_words(picture: Picture, block: str) -> str:
     if (lag := measured.get("policy/lag_mean")) is not None:
         words.append(f"policy lag {number(lag)}, at most {number(measured.get('policy/lag_max', lag))}")
     return ", ".join(words)
+
+
+def learning_table(picture: Picture, width: int) -> list[str]:
+    """A line per block, the one that is farthest from its goals first."""
+    measured = picture.measured()
+    longest = max(map(len, ["block", *measured]))
+    columns = ABREAST[: max(1, (width - longest) // (CELL + 2))]
+    names = sorted(measured, key=lambda block: measured[block].get("policy/reward_mean", 0.0))
+    heads = "".join(f"  {head:>{CELL}}" for _, head in columns)
+    return [f"{'block':<{longest}}{heads}"] + [
+        f"{block:<{longest}}"
+        + "".join(f"  {_cell(measured[block].get(name)):>{CELL}}" for name, _ in columns)
+        for block in names
+    ]
 
 
 def encoder_words(measured: Measured) -> list[str]:
@@ -71,6 +96,10 @@ def goal_distance(measured: Measured, goals: GoalSettings | None) -> float | Non
 def number(value: float) -> str:
     """Three digits that count."""
     return f"{value:.3g}"
+
+
+def _cell(value: float | None) -> str:
+    return "-" if value is None else number(value)
 
 
 def _words(measured: Measured, model: str, names: tuple[tuple[str, str], ...]) -> list[str]:

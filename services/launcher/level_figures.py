@@ -16,12 +16,15 @@ from protocol.messages import Score
 from services.launcher.curves import Curves, Measure, clock
 from services.launcher.figures import AXES, GREY, MOST_NAMED, Ends, save, vertex_colours
 from services.launcher.judging import measures
+from services.launcher.learning_figure import MOST_DOTS
 from services.launcher.posture_figures import is_few, means, short_names, strips
 from services.launcher.timeline import Timeline
 from services.launcher.timeline_figure import unit_of
 
 COLUMNS = 4
 PANEL_INCHES = (3.1, 2.7)
+ABOVE, BELOW = 0.75, 0.75
+"""Inches for the title, and for the legend of all panels."""
 MOST_LABELLED = 16
 """Joints of one panel that are named."""
 
@@ -49,6 +52,8 @@ def panel_of(block: str, ends: Ends, part: Part, names: Sequence[str], world: Wo
 def draw_ends(path: Path, panels: Sequence[Panel], title: str) -> None:
     """A panel per block: where each component of what it moves ends, per goal."""
     figure, grid = _grid(len(panels), title)
+    # Names of joints may be of any length.
+    figure.set_layout_engine("constrained")
     for axes, panel in zip(grid, panels, strict=False):
         if is_few(panel.ends):
             strips(axes, panel.ends)
@@ -88,16 +93,21 @@ def draw_learning(
         draw(axes)
         axes.tick_params(labelsize=8)
         axes.grid(alpha=0.3)
+    # Constrained layout takes seconds for so many panels.
+    width, height = figure.get_size_inches()
+    edges = {"left": 0.65 / width, "right": 1 - 0.15 / width}
+    edges |= {"bottom": (BELOW + 0.5) / height, "top": 1 - ABOVE / height}
+    figure.subplots_adjust(wspace=0.32, hspace=0.55, **edges)
     handles, labels = grid[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(8, len(labels)), frameon=False)
+    figure.legend(handles, labels, loc="lower center", ncols=min(8, len(labels)), frameon=False)
     save(figure, path)
 
 
 def _grid(panels: int, title: str) -> tuple[Figure, Sequence[Any]]:
     columns = min(COLUMNS, panels)
     lines = -(-panels // columns)
-    size = (max(5.0, PANEL_INCHES[0] * columns), 0.9 + PANEL_INCHES[1] * lines)
-    figure = Figure(figsize=size, layout="constrained")
+    width, height = max(5.0, PANEL_INCHES[0] * columns), ABOVE + BELOW + PANEL_INCHES[1] * lines
+    figure = Figure(figsize=(width, height))
     grid = figure.subplots(lines, columns, squeeze=False).ravel().tolist()
     for axes in grid[panels:]:
         axes.set_axis_off()
@@ -139,7 +149,9 @@ def _curve_drawer(
                 continue
             cuts = np.flatnonzero(np.diff(np.array(series.term))) + 1
             place = np.insert(hands.of(series.secs) / unit_secs, cuts, np.nan)
-            axes.plot(place, np.insert(np.array(series.value), cuts, np.nan), color=colour, linewidth=1)
+            dots = "o-" if len(series.value) <= MOST_DOTS else "-"
+            value = np.insert(np.array(series.value), cuts, np.nan)
+            axes.plot(place, value, dots, color=colour, linewidth=1, markersize=2.2)
         axes.set_title(measure.title, fontsize=10)
         axes.set_ylabel(measure.label, fontsize=8)
         phases = " and ".join(phase.value.upper() for phase in measure.phases)

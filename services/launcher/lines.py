@@ -76,11 +76,35 @@ def score_table(rows: Sequence[Row], *, newest: int | None = None) -> list[str]:
     shown = rows if newest is None else rows[-newest:]
     columns = _columns(shown)
     blocks = list(dict.fromkeys(str(row["block"]) for row in shown))
-    lines = ["  ".join([f"{'iter':>4}", f"{'policy':<7}", *(f"{head:>{size}}" for _, head, size in columns)])]
+    lines = [_heads(columns)]
     for block in blocks:
         lines += [f"{block[: TABLE_WIDTH - 1]}:"] if len(blocks) > 1 else []
         lines += [_score_line(row, columns) for row in shown if row["block"] == block]
     return lines
+
+
+def block_table(rows: Sequence[Row], *, most: int | None = None) -> list[str]:
+    """A line per block, of its newest row and by mean actions if there is one; so many lines at most.
+
+    Blocks come with the least z_min first, so that what is left out is better than what is shown.
+    """
+    newest: dict[str, Row] = {}
+    for row in rows:
+        block, last = str(row["block"]), newest.get(str(row["block"]))
+        if last is None or last["policy"] != "mean" or row["policy"] == "mean":
+            newest[block] = row
+    shown = sorted(newest.values(), key=lambda row: float(str(row["z_min"])))
+    columns, longest = _columns(shown), max(map(len, ["block", *newest]))
+    lines = [f"{'block':<{longest}}  {_heads(columns)}"]
+    lines += [f"{row['block']!s:<{longest}}  {_score_line(row, columns)}" for row in shown]
+    return shortened(lines, most)
+
+
+def shortened(lines: Sequence[str], most: int | None) -> list[str]:
+    """The first lines; the last of so many says how many there are besides."""
+    if most is None or len(lines) <= most:
+        return list(lines)
+    return [*lines[: max(0, most - 1)], f"and {len(lines) - max(0, most - 1)} more"][:most]
 
 
 def brief(rows: Sequence[Row], best: Mapping[str, Row], newest: int) -> list[Row]:
@@ -92,6 +116,17 @@ def brief(rows: Sequence[Row], best: Mapping[str, Row], newest: int) -> list[Row
         wanted |= {(block, iteration) for iteration in iterations[-newest:]}
     wanted |= {(block, row["iteration"]) for block, row in best.items()}
     return [row for row in rows if (str(row["block"]), row["iteration"]) in wanted]
+
+
+def has_many_blocks(rows: Sequence[Row]) -> bool:
+    """True where a table of each block's iterations would fill a screen."""
+    return len({str(row["block"]) for row in rows}) > MOST_BLOCKS + 2
+
+
+def kept_table(rows: Sequence[Row], best: Mapping[str, Row]) -> list[str]:
+    """A line per block: the iteration that is kept, or the newest of blocks that keep none yet."""
+    kept = [row for row in rows if row["iteration"] == best.get(str(row["block"]), row)["iteration"]]
+    return block_table(kept)
 
 
 def best_words(best: Mapping[str, Row]) -> list[str]:
@@ -167,6 +202,10 @@ def _columns(rows: Sequence[Row]) -> list[tuple[str, str, int]]:
         if len("iter  sampled") + sum(2 + size for _, _, size in columns) > TABLE_WIDTH:
             columns = [column for column in columns if column[0] != least]
     return columns
+
+
+def _heads(columns: Iterable[tuple[str, str, int]]) -> str:
+    return "  ".join([f"{'iter':>4}", f"{'policy':<7}", *(f"{head:>{size}}" for _, head, size in columns)])
 
 
 def _score_line(row: Row, columns: Iterable[tuple[str, str, int]]) -> str:

@@ -315,3 +315,30 @@ def by_learner(works: Iterable[BlockWork]) -> dict[str, list[BlockWork]]:
     for work in works:
         groups.setdefault(work.learner, []).append(work)
     return groups
+
+
+def slowest(works: Sequence[BlockWork], most: int) -> list[BlockWork]:
+    """So many of those of which the least is done; what waits for its learner comes first."""
+    return sorted(works, key=lambda work: (not work.waits, _share(work)))[:most]
+
+
+def together(works: Sequence[BlockWork]) -> BlockWork:
+    """All of a learner's blocks as if they were one."""
+    told = [work.progress for work in works if work.progress is not None]
+    done, wanted = sum(each.done for each in told), sum(each.wanted for each in told)
+    left = [work.left_secs for work in works if work.progress is None or not work.progress.finished]
+    known = [secs for secs in left if secs is not None]
+    finished = all(work.progress is not None and work.progress.finished for work in works)
+    return BlockWork(
+        block=f"{len(works)} blocks",
+        progress=told[0].model_copy(update={"done": done, "wanted": wanted, "finished": finished})
+        if told
+        else None,
+        left_secs=max(known) if known and len(known) == len(left) else None,
+        learner=works[0].learner,
+        waits=all(work.waits for work in works),
+    )
+
+
+def _share(work: BlockWork) -> float:
+    return 0.0 if work.progress is None else work.progress.done / max(1, work.progress.wanted)

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from babble.scores import REACHED
 from protocol.messages import Score
-from services.launcher.evaluate import Rollout, load_models, roll_out
+from services.launcher.evaluate import COLUMNS, Rollout, load_models, roll_out
 from services.launcher.findings import ends_of, in_words, verdict
 from services.launcher.judging import score_columns
 from services.launcher.report_tables import table_head, table_row
@@ -49,9 +49,10 @@ def shown_version(run: Run, block: str) -> tuple[Version, list[str]]:
         return newest, [f"What is kept is not known here: {error}.", ""]
 
 
-def roll_out_kept(run: Run, versions: Sequence[Version]) -> Rollout:
+def roll_out_kept(run: Run, versions: Sequence[Version], columns: int = COLUMNS) -> Rollout:
     """The blocks of one level in fresh worlds, by mean actions. Raises `RunError`."""
-    return roll_out(run, versions, {version.block: load_models(run, version) for version in versions})
+    models = {version.block: load_models(run, version) for version in versions}
+    return roll_out(run, versions, models, columns=columns)
 
 
 def rolled_out(rollout: Rollout, version: Version) -> tuple[list[str], list[str]]:

@@ -1,14 +1,15 @@
 """What the report says of one level of a tree: all its blocks side by side, and some of them in detail.
 
 Of many blocks the weakest is shown in detail, and every block in the figures of all; so the time that a
-report takes grows with the number of levels and hardly with that of blocks.
+report takes grows with the number of levels and hardly with that of blocks. Large bodies are slow to
+simulate, so their blocks are rolled out in fewer worlds.
 """
 
 from collections.abc import Sequence
 
 from protocol.messages import Score
 from services.launcher.child_ends import child_ends, table_of
-from services.launcher.evaluate import Rollout
+from services.launcher.evaluate import COLUMNS, Rollout
 from services.launcher.findings import ends_of, verdict
 from services.launcher.judging import measures, shortfalls, tree_words, weakest
 from services.launcher.report_blocks import (
@@ -24,6 +25,13 @@ from services.launcher.report_blocks import (
 from services.launcher.report_tables import table_head, table_row
 from services.launcher.scored_run import Run, RunError, Version
 from services.launcher.survey import Survey
+
+MOST_WORK = 30_000_000
+"""Environment steps of a level times the square of the joints; some 3 s of a body on a floor."""
+START_STEPS = 100
+"""A random start of a body takes about as long as so many steps."""
+LEAST_COLUMNS = 4
+"""As many poses of each goal are pictured."""
 
 
 def tree_summary(run: Run) -> str:
@@ -45,8 +53,8 @@ def level_section(survey: Survey, level: int, *, rollouts: bool) -> list[str]:
     detail = [verdict(run, detailed, rows_of(run, blocks=[detailed.block])), ""]
     if rollouts:
         try:
-            rollout = roll_out_kept(run, versions)
-            lines += [*_postures(rollout), *_side_by_side(rollout)]
+            rollout = roll_out_kept(run, versions, columns_of(run, level))
+            lines += [*_postures(rollout), *_side_by_side(rollout, detailed.block)]
             words, pictures = rolled_out(rollout, detailed)
             detail += [*words, "", *pictures]
         except RunError as error:
@@ -63,6 +71,13 @@ def level_section(survey: Survey, level: int, *, rollouts: bool) -> list[str]:
     else:
         detail += table
     return [*lines, *detail, *learning(survey, detailed.block)]
+
+
+def columns_of(run: Run, level: int) -> int:
+    """How many fresh worlds the blocks of a level are rolled out in. Raises `RunError`."""
+    told, joints = run.settings.of_level(level).evaluation, run.world(1, [0]).posture_size
+    steps = START_STEPS + told.legs * told.leg_steps
+    return max(LEAST_COLUMNS, min(COLUMNS, MOST_WORK // (joints**2 * steps)))
 
 
 def _named(blocks: Sequence[str]) -> str:
@@ -109,8 +124,11 @@ def _postures(rollout: Rollout) -> list[str]:
     return lines
 
 
-def _side_by_side(rollout: Rollout) -> list[str]:
-    """Where the goals of all blocks lead, in one figure; and the body at them, for blocks with children."""
+def _side_by_side(rollout: Rollout, detailed: str) -> list[str]:
+    """Where the goals of all blocks lead, in one figure; and the body at them, for blocks with children.
+
+    The body is not pictured for the block that is shown in detail, where it is pictured anyway.
+    """
     if len(rollout.versions) == 1:
         return []
     from services.launcher import level_figures
@@ -134,7 +152,7 @@ def _side_by_side(rollout: Rollout) -> list[str]:
     caption = (
         "Where each goal of each block leads in fresh worlds (mean actions), within the range of motion."
     )
-    above = [version for version in rollout.versions if version.block in rollout.arrived]
+    above = [each for each in rollout.versions if each.block in rollout.arrived and each.block != detailed]
     pictured = [line for version in above for line in of_body(rollout, version, world)]
     return [*picture(f"level-{level}-ends", caption), *pictured]
 

@@ -184,10 +184,13 @@ def _say(console: Console, text: str) -> None:
 
 
 def _heading(opened: Run, arguments: argparse.Namespace, what: str) -> str:
-    world, legs = opened.settings.world.id, opened.settings.evaluation
+    world = opened.settings.world.id
+    by_level = [opened.settings.of_level(level).evaluation for level in opened.levels or [0]]
+    legs = [f"{told.legs} legs of {told.leg_steps} steps" for told in by_level]
+    named = [f"{words} on level {level}" for words, level in zip(legs, opened.levels, strict=False)]
     return (
         f"run {opened.name} ({world}): {what}, rolled out in {arguments.columns} fresh worlds from random "
-        f"starts, {legs.legs} legs of {legs.leg_steps} steps, seed {arguments.seed}"
+        f"starts, {', '.join(named) if len(set(legs)) > 1 else legs[0]}, seed {arguments.seed}"
     )
 
 

@@ -15,7 +15,7 @@ from protocol.codec import Refused, decode, encode
 from protocol.messages import ALL_BLOCKS, Command, Reply
 from services.launcher.address import launcher_credential
 from services.launcher.frame import facts
-from services.launcher.lines import ASCII, Signs, best_words, brief, score_table
+from services.launcher.lines import ASCII, Signs, best_words, brief, has_many_blocks, kept_table, score_table
 from services.launcher.listening import Listener
 from services.launcher.members import Picture
 from services.launcher.reaching import NotRunning, add_reaching, reach
@@ -110,14 +110,16 @@ def status_lines(
     """
     phase = str(told["phase"]).upper() + (f" after {told['evaluates'].upper()}" if told["evaluates"] else "")
     rounds = f", iteration {told['iteration']} of {told['iterations']}" if told["iteration"] else ""
-    lines = [f"run {told['run']}: {phase}{rounds}, term {told['term']}"]
+    level = f", level {told['level']}" if told.get("level") else ""
+    lines = [f"run {told['run']}: {phase}{rounds}{level}, term {told['term']}"]
     lines += [f"dashboard {dashboard}"] if dashboard else []
     lines += [told["waiting"]] if told["waiting"] else []
     lines += facts or ["", *(_member(member) for member in told["members"])]
     lines += [f"and {told['unlisted']:,} more"] if told["unlisted"] and not facts else []
     if told["scores"]:
-        best = {row["block"]: row for row in told["best"]}
-        lines += ["", *score_table(brief(told["scores"], best, MOST_ITERATIONS)), *best_words(best)]
+        best, rows = {row["block"]: row for row in told["best"]}, told["scores"]
+        few = [*score_table(brief(rows, best, MOST_ITERATIONS)), *best_words(best)]
+        lines += ["", *(kept_table(rows, best) if has_many_blocks(rows) else few)]
     happened = [words for event in events if (words := _happened(event))]
     return lines + (["", *happened] if happened else [])
 

@@ -91,5 +91,31 @@ def sharing(blocks: int = 1, lost: bool = False) -> Picture:
     return seen
 
 
+def crowd(blocks: int = 18) -> Picture:
+    """One learner in GROUND with so many blocks, the third of them far behind; all were scored twice."""
+    seen = Picture(RUN, f"runs/{RUN}", 0.0)
+    common = {"run": RUN, "block": ALL_BLOCKS, "seq": 0, "term": 3}
+    names = [f"part_{i}" for i in range(blocks)]
+    at_work = {block: ModelFloor() for block in names}
+    seen.hear_phase(PhaseAnnounced(**common, life="c-1", phase=Phase.GROUND, blocks=at_work), 0.0)
+    life = "policy_learner-0a1b2c3d"
+    seen.appeared("policy_learner", life, 0.0)
+    for now, share in ((0.5, 25), (1.5, 50)):
+        progress = [
+            Progress(block=block, done=10 if block == "part_2" else share, wanted=100, unit="steps")
+            for block in names
+        ]
+        metrics = {f"{block}/policy/reward_mean": -0.1 * i for i, block in enumerate(names)}
+        said = Status(**common, life=life, service="policy_learner", progress=progress, metrics=metrics)
+        seen.hear_status(said, now)
+    for block in names:
+        seen.scores = [
+            *seen.scores,
+            *(row(i, policy, block=block) for i in (0, 1) for policy in ("mean", "sampled")),
+        ]
+    seen.scores = [{**each, "z_min": 0.25} if each["block"] == "part_7" else each for each in seen.scores]
+    return seen
+
+
 def texts(lines: Sequence[Line]) -> list[str]:
     return ["".join(text for text, _ in line) for line in lines]

@@ -166,6 +166,8 @@ def test_status_tells_phase_members_and_scores() -> None:
     )
     assert "and 1,200 more" in lines
     assert lines[-1] == "best of body: iteration 0 is nearest"
+    above = status_lines({**told, "level": 1})
+    assert above[0] == "run r: EVALUATE after PRACTISE, iteration 1 of 4, level 1, term 8"
 
 
 def test_status_tells_what_was_heard_besides_and_where_the_dashboard_is() -> None:

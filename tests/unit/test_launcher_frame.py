@@ -6,7 +6,7 @@ from protocol.messages import ALL_BLOCKS, Status
 from services.launcher.frame import facts, frame
 from services.launcher.lines import ASCII, progress_line
 from services.launcher.members import Picture
-from tests.unit.launcher_picture import RUN, practising, sharing, texts
+from tests.unit.launcher_picture import RUN, crowd, practising, sharing, texts
 
 
 @pytest.mark.parametrize("width", [20, 40, 60, 120])
@@ -171,3 +171,33 @@ def test_who_was_cut_off_is_counted_beside_what_was_lost() -> None:
     )
     seen.hear_status(said, 2.0)
     assert any(line.endswith("1 cut off by the router") for line in texts(frame(seen, 2.0, 80)))
+
+
+@pytest.mark.parametrize(("width", "height"), [(80, 23), (120, 40), (80, None)])
+def test_many_blocks_leave_room_for_all_else(width: int, height: int | None) -> None:
+    shown = texts(frame(crowd(), 2.0, width, height))
+    assert len(shown) <= (height or 99)
+    bars = [text for text in shown if "steps" in text and "%" not in text and "/s" not in text]
+    assert bars[0].startswith("18 blocks ")
+    assert "860 of 1,800 steps" in bars[0]
+    assert bars[1].startswith("part_2 "), "the slowest comes next"
+    assert len(bars) == 4
+    for needed in ("policy_learner-0a1b2c3d", "0 lost", "GROUND"):
+        assert needed in "\n".join(shown)
+
+
+def test_of_many_blocks_the_weakest_are_shown_by_name_and_the_others_counted() -> None:
+    shown = texts(frame(crowd(), 2.0, 80, 23))
+    learning = shown.index(next(text for text in shown if "reward" in text))
+    assert shown[learning + 1].split()[:3] == ["part_17", "-", "-1.7"]
+    scores = shown.index(next(text for text in shown if "z_min" in text))
+    assert shown[scores + 1].split()[:3] == ["part_7", "1", "mean"]
+    left_out = [int(text.split()[1]) for text in shown if text.startswith("and ")]
+    listed = [text for text in shown[learning:] if text.startswith("part_")]
+    assert len(listed) + sum(left_out) == 2 * 18
+
+
+def test_status_shows_every_block() -> None:
+    shown = texts(facts(crowd(), 2.0, 80))
+    bars = [text for text in shown if text.startswith("part_") and "steps" in text]
+    assert len(bars) == 18

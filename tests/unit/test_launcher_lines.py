@@ -4,6 +4,7 @@ import io
 
 import pytest
 
+from services.launcher.conclusion import print_rows
 from services.launcher.display import LiveDisplay, PlainDisplay, display_for
 from services.launcher.lines import brief, clock_words, cpu_table, progress_line, score_table
 from tests.unit.launcher_picture import practising, row, sharing
@@ -130,3 +131,18 @@ def test_of_long_runs_the_newest_iterations_of_each_block_and_the_kept_one_are_s
     assert len(shown) == 2 * len(found)
     assert next(each["iteration"] for each in shown if each["block"] == "arm") == 7
     assert brief(rows[:4], {}, 3) == rows[:4]
+
+
+def test_at_the_end_of_a_run_of_many_blocks_each_has_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [
+        row(i, policy, block=f"part_{b}")
+        for b in range(23)
+        for i in range(3)
+        for policy in ("mean", "sampled")
+    ]
+    best = {f"part_{b}": {"iteration": b % 3, "reason": "made up"} for b in range(23)}
+    print_rows(rows, best, "runs/x/scores.jsonl")
+    lines = capsys.readouterr().out.splitlines()
+    kept = {tuple(line.split()[:3]) for line in lines if line.startswith("part_")}
+    assert kept == {(f"part_{b}", str(b % 3), "mean") for b in range(23)}
+    assert len(lines) == 25

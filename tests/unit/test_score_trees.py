@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,10 @@ from services.launcher.cli import main
 from services.launcher.conclusion import print_scores
 from services.launcher.evaluate import RunError, evaluate, latents_at, load_models, open_run, roll_out
 from services.launcher.report import write_report
+from services.launcher.report_levels import columns_of
 from services.launcher.run_folder import RunFolder
 from services.launcher.scalars import scalars
+from services.runtime.sections import WorldSettings
 from tests.unit.analytic_run import TREE, composed, encoder, parts, policy, write_run
 
 SLOW = "[[level]]\n[[level]]\ndecision_steps = 5\n[level.evaluation]\nleg_steps = 50\n"
@@ -109,6 +112,15 @@ def test_score_shows_levels_postures_and_one_verdict_of_the_tree(
     )
 
 
+def test_score_says_how_long_legs_are_on_each_level(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one = shown(tree(tmp_path / "one"), "--best", capsys=capsys).splitlines()[0]
+    assert "starts, 5 legs of 100 steps, seed 0" in one
+    slow = shown(tree(tmp_path / "slow", SLOW), "--best", capsys=capsys).splitlines()[0]
+    assert "5 legs of 100 steps on level 0, 5 legs of 50 steps on level 1, seed 0" in slow
+
+
 def test_json_has_rows_of_all_levels_and_an_object_of_goals(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -187,6 +199,14 @@ def test_a_report_shows_each_level_with_its_steps(tmp_path: Path) -> None:
         assert f"figures/{name}.png" in pictures
     for name in pictures:
         assert np.ptp(imread(folder / name)[..., 0]) > 0.5, f"{name} is empty"
+
+
+def test_blocks_of_a_large_body_are_rolled_out_in_fewer_worlds(tmp_path: Path) -> None:
+    point = open_run(tree(tmp_path / "point", SLOW.replace("50", "400")))
+    assert columns_of(point, 0) == columns_of(point, 1) == 64
+    world = WorldSettings(id="MimoRollover", parameters={"hands": "five_finger"})
+    body = replace(point, settings=point.settings.model_copy(update={"world": world}))
+    assert 4 <= columns_of(body, 1) < columns_of(body, 0) < 16
 
 
 def test_scores_are_told_at_the_end_of_the_evaluation_of_their_own_level(tmp_path: Path) -> None:
