@@ -11,7 +11,7 @@ from protocol.gate import Gate
 from protocol.latest import LatestPhase
 from protocol.messages import Ack, Model, ModelFloor, Phase, PhaseAnnounced
 from services.actor.collect import Collector, Finished, SegmentCollector, collector_of
-from services.actor.config import body_of, first_observation, seeds_of
+from services.actor.config import Body, body_of, first_observation, seeds_of
 from services.actor.evaluation import EvaluationCollector
 from services.actor.frames import check_frames
 from services.actor.models import ModelShelf
@@ -22,6 +22,7 @@ from services.runtime.bus import Frame, Inbox
 from services.runtime.errors import UserError
 from services.runtime.interface import interface_of
 from services.runtime.process import Context
+from services.runtime.settings import RunSettings
 from services.runtime.status import Heart
 
 log = logging.getLogger(__name__)
@@ -53,13 +54,7 @@ class Actor:
         world = self._body.world
         settings.check_rewarded(world.rewarded)
         self._breakdowns = Breakdowns(world.id)
-        interface = interface_of(
-            settings,
-            senses=world.senses,
-            action_size=world.action_size,
-            blocks=self._body.tree.specs.values(),
-        )
-        fingerprint = interface.fingerprint()
+        fingerprint = _fingerprint(settings, self._body)
         self._observation = first_observation(self._body)
         self._shelf = ModelShelf(self._body.tree)
         self._outbox = Outbox(
@@ -248,6 +243,16 @@ class Actor:
     def _last_error(self) -> str:
         errors = self._shelf.last_error, self._gate.last_refusal, self._breakdowns.sentence
         return next(filter(None, errors), self._views.last_error)
+
+
+def _fingerprint(settings: RunSettings, body: Body) -> str:
+    interface = interface_of(
+        settings,
+        senses=body.world.senses,
+        action_size=body.world.action_size,
+        blocks=body.tree.specs.values(),
+    )
+    return interface.fingerprint()
 
 
 def _stepped(collector: Collector) -> list[Finished]:
