@@ -184,11 +184,12 @@ class Actor:
         frozen blocks below them.
         """
         grants = self._grants(announced)
+        least = 0 if announced.phase is Phase.BABBLE else 1
         floors: dict[str, ModelFloor] = {**announced.frozen}
         for block, floor in announced.blocks.items():
             ack = grants.get(block)
-            wanted = max(floor.policy, ack.policy_floor if ack else 0)
-            floors[block] = ModelFloor(encoder=floor.encoder, policy=wanted)
+            wanted = max(floor.policy, ack.policy_floor if ack else 0, least)
+            floors[block] = ModelFloor(encoder=max(floor.encoder, least), policy=wanted)
         for block, needed in floors.items():
             held = self._shelf.of(block)
             if not held.meets(needed):

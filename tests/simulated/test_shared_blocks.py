@@ -109,3 +109,22 @@ def test_the_blocks_of_a_lost_learner_wait_for_it_and_those_of_the_others_do_not
     simulation.until_all_ended()
     assert scored(simulation.run_dir) == EVERYTHING
     assert_each_took_its_own_and_once(simulation)
+
+
+def test_actors_wait_for_the_first_policy_of_a_learner_that_comes_late(
+    shared: RunSettings, simulate: Simulate
+) -> None:
+    simulation = simulate(shared)
+    simulation.start("coordinator", "coordinator-0")
+    simulation.start("encoder_learner", "encoder_learner-0")
+    simulation.start("encoder_learner", "encoder_learner-1", 1)
+    simulation.start("policy_learner", "policy_learner-0")
+    simulation.start("actor", "actor-0")
+    simulation.until(lambda: phase_of(simulation.run_dir) == "ground")
+    for _ in range(500):
+        simulation.round()
+    _, said = simulation.statuses("actor-0")[-1]
+    assert "policy 1 of yz" in said.waiting_for
+    simulation.start("policy_learner", "policy_learner-1", 1)
+    simulation.until_all_ended()
+    assert scored(simulation.run_dir) == EVERYTHING
