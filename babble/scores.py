@@ -13,12 +13,9 @@ from numpy.typing import NDArray
 
 from babble.landmarks import Landmark
 from babble.legs import Legs, Path, Walk, Walker, walk_blocks, walk_legs
-from babble.policy.together import Acts, Encodes
 
 __all__ = [
     "REACHED",
-    "Acts",
-    "Encodes",
     "Legs",
     "Path",
     "ScoreValues",

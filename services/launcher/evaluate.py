@@ -18,7 +18,8 @@ from babble.levels import BlockModels, Stage, stage_of
 from babble.limbs import blocks_below
 from babble.parts import Part, part_of_block
 from babble.policy.act import EncoderModel, ModelError, PolicyModel
-from babble.scores import Encodes, Legs, Walk, Walker, score
+from babble.policy.together import Encodes
+from babble.scores import Legs, Walk, Walker, score
 from babble.worlds import World
 from babble.worlds.batch import PointWorld
 from protocol.messages import Score
