@@ -201,7 +201,9 @@ class EvaluationSettings(Section):
 
 
 class WireSettings(Section):
-    """Deadlines of the distributed run."""
+    """Deadlines of the distributed run; `inf` is one without end."""
+
+    model_config = ConfigDict(allow_inf_nan=True)
 
     status_secs: PositiveFloat = 1.0
     connect_secs: PositiveFloat = 20.0
