@@ -80,7 +80,7 @@ def table(lines: list[str]) -> list[list[str]]:
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        (None, r"there is no scenario .*nosuch.*; give .* cuboid, dumbbell, ellipsoid"),
+        (None, r"there is no scenario .*nosuch.*; give .* cuboid, .*dumbbell, ellipsoid"),
         ('scenario = "x"\nspeeed = 1\n', r"speeed: is not a known key"),
         ('scenario = "x"\n[[block]]\nlatent_dim = 1\n', r"latent_dim: .* greater than or equal to 2, got 1"),
         ('scenario = "x"\n[world]\nid = "Torus"\n', r"no world 'Torus'; the worlds are Cuboid"),
