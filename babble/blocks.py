@@ -73,6 +73,10 @@ class BlockTree:
         self._levels = _levels(self.specs)
         for spec in specs:
             self._check_slices(spec)
+        leaves = [spec for spec in specs if not spec.children]
+        # Made once: actors ask for them at every step.
+        self._observed = {spec.name: _indices(spec.observes, observation_size) for spec in leaves}
+        self._driven = {spec.name: _indices(spec.drives, action_size) for spec in leaves}
         self._check_actuators()
 
     @property
@@ -90,13 +94,11 @@ class BlockTree:
 
     def observed(self, name: str) -> Indices:
         """What of the body's observation a leaf observes; empty for a block with children."""
-        spec = self._spec(name)
-        return _indices(spec.observes, self._observation_size) if not spec.children else _indices((), 0)
+        return self._observed.get(self._spec(name).name, NOTHING)
 
     def driven(self, name: str) -> Indices:
         """Which of the body's actuators a leaf drives; empty for a block with children."""
-        spec = self._spec(name)
-        return _indices(spec.drives, self._action_size) if not spec.children else _indices((), 0)
+        return self._driven.get(self._spec(name).name, NOTHING)
 
     def leaves_of(self, name: str) -> list[BlockSpec]:
         """The leaves through which a block acts, left to right; a leaf acts through itself."""
@@ -194,7 +196,14 @@ def shortened(names: Sequence[str]) -> str:
 
 
 def _indices(given: tuple[int, ...] | None, size: int) -> Indices:
-    return np.arange(size, dtype=np.intp) if given is None else np.array(given, dtype=np.intp)
+    """Read-only, since all who ask share them."""
+    indices = np.arange(size, dtype=np.intp) if given is None else np.array(given, dtype=np.intp)
+    indices.flags.writeable = False
+    return indices
+
+
+NOTHING = _indices((), 0)
+"""What a block with children observes or drives of the body itself."""
 
 
 def _check_names(specs: Sequence[BlockSpec]) -> None:

@@ -14,7 +14,8 @@ import numpy as np
 from babble.blocks import BlockTree, Indices
 from babble.landmarks import Landmark
 from babble.legs import Seen, Witness
-from babble.limbs import BlockModels, Limbs, SubgoalForm, blocks_below
+from babble.limbs import BlockModels, Limbs, SubgoalForm
+from babble.parts import moved_by
 from babble.worlds.batch import Flags, Floats, Start, Step, World
 
 __all__ = ["BlockModels", "LevelWorld", "Stage", "SubgoalForm", "stage_of"]
@@ -101,7 +102,7 @@ class LevelWorld:
         ]
         self.observation_names = tuple(f"latent/{child}:{vertex}" for child, vertex in components)
         self.action_names = tuple(f"{child}:{vertex}" for child, vertex in components)
-        self.moves = tuple(_moved(world, limbs.tree, child) for child, _ in components)
+        self.moves = tuple(moved_by(world, limbs.tree, child) for child, _ in components)
 
     def span(self, components: Sequence[int]) -> float:
         """See `World.span`; of the body."""
@@ -239,8 +240,3 @@ class _Relay(Witness):
 
     def cut(self) -> None:
         self._witness.cut()
-
-
-def _moved(world: World, tree: BlockTree, name: str) -> tuple[int, ...]:
-    leaves = [block for block in {name, *blocks_below(tree, [name])} if not tree.specs[block].children]
-    return tuple(sorted({c for leaf in leaves for a in tree.driven(leaf).tolist() for c in world.moves[a]}))

@@ -37,9 +37,8 @@ def part_of_block(world: World, tree: BlockTree, block: str) -> Part:
     nothing that the posture tells. Landmarks are restricted to a part. A leaf that moves a part, such as
     a finger, is at one when each of its joints is; any other block when each group's mean is.
     """
-    actuators = tree.driven_through(block)
-    components = sorted({each for actuator in actuators.tolist() for each in world.moves[actuator]})
-    if len(actuators) == world.action_size or not components:
+    components = moved_by(world, tree, block)
+    if len(tree.driven_through(block)) == world.action_size or not components:
         whole = np.arange(world.posture_size)
         return Part(whole, world.diameter, world.crossing_axis, tuple(world.landmarks))
     place = {component: index for index, component in enumerate(components)}
@@ -51,6 +50,12 @@ def part_of_block(world: World, tree: BlockTree, block: str) -> Part:
         crossing_axis=None if world.crossing_axis is None else place.get(world.crossing_axis),
         landmarks=tuple(landmark for landmark in restricted if landmark.groups),
     )
+
+
+def moved_by(world: World, tree: BlockTree, block: str) -> tuple[int, ...]:
+    """The components of the posture that a block moves, itself or through its descendants, in their order."""
+    actuators = tree.driven_through(block).tolist()
+    return tuple(sorted({each for actuator in actuators for each in world.moves[actuator]}))
 
 
 def _restricted(landmark: Landmark, place: Mapping[int, int], single: bool) -> Landmark:
