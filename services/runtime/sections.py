@@ -11,6 +11,7 @@ from protocol.messages import Name
 
 Positive = Annotated[int, Field(ge=1)]
 PositiveFloat = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(gt=0, le=1)]
 
 
@@ -98,18 +99,24 @@ class PhaseSettings(Section):
     walk_steps: Positive = 16_000
     practise_steps: Positive = 12_288
     iterations: Annotated[int, Field(ge=0)] = 4
+    open_loop: bool = False
+    """nothing is learned: actors babble for `babble_steps`, which are recorded, and the run is done"""
 
 
 class NoiseSettings(Section):
     """The random walk of the BABBLE phase."""
 
-    kind: Literal["white", "pink", "ou", "held"] = "ou"
+    kind: Literal["white", "pink", "ou", "held", "coloured"] = "ou"
     scale: PositiveFloat = 0.6
     """standard deviation of the action before clipping to the bounds"""
     correlation: Annotated[float, Field(ge=0, lt=1)] = 0.9
     """OU only: u <- correlation * u + noise"""
     hold_steps: Positive = 10
     """held only: steps between new draws"""
+    exponents: tuple[NonNegative, NonNegative] = (0.7, 0.9)
+    """coloured only: beta of the spectrum 1/f^beta at the beginning and at the end of the phase"""
+    block_steps: Annotated[int, Field(ge=2)] = 10_000
+    """coloured only: steps of each world that are drawn at once"""
     subgoal_steps: tuple[Positive, Positive] = (20, 100)
     """above level 0, instead: environment steps for which each child keeps a random goal, least and most"""
 
@@ -143,6 +150,10 @@ class EncoderSettings(Section):
     refine: FitSettings = FitSettings(updates=300, window_steps=8, temperature=0.15)
     blend: Fraction = 1.0
     """lambda of eq. 13; 1 is the thesis's alternative, a warm start without mixing"""
+    contrastive: bool = True
+    """false: no CLTT, the encoder keeps its random weights (thesis 4.5, C2)"""
+    output: Literal["softmax", "linear"] = "softmax"
+    """linear: no simplex, latents are unbounded (thesis 4.5, C3)"""
 
 
 class PolicySettings(Section):
@@ -171,6 +182,8 @@ class PolicySettings(Section):
 class GoalSettings(Section):
     """Goals and the reward for reaching them."""
 
+    kind: Literal["one-hot", "random"] = "one-hot"
+    """random: points drawn uniformly from the simplex, one for each episode (thesis 4.5, C4)"""
     period_steps: Positive = 100
     """environment steps between goal draws in GROUND and PRACTISE"""
     walk_steps_per_goal: Positive = 100
@@ -198,6 +211,15 @@ class EvaluationSettings(Section):
     legs: Annotated[int, Field(ge=3)] = 5
     """goals one after the other; the first leg is not scored"""
     leg_steps: Positive = 100
+
+
+class RecordingSettings(Section):
+    """What `services/recorder` writes of every actor's steps into the run's folder."""
+
+    every_steps: Annotated[int, Field(ge=0)] = 0
+    """each so manieth environment step is a row of the data set; 0 for no recording"""
+    group_rows: Annotated[int, Field(ge=1024, le=1 << 22)] = 65_536
+    """rows in one file of the data set"""
 
 
 class WireSettings(Section):

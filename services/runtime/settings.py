@@ -35,6 +35,7 @@ from services.runtime.sections import (
     NoiseSettings,
     PhaseSettings,
     PolicySettings,
+    RecordingSettings,
     Section,
     ViewSettings,
     WireSettings,
@@ -54,6 +55,7 @@ __all__ = [
     "NoiseSettings",
     "PhaseSettings",
     "PolicySettings",
+    "RecordingSettings",
     "RunSettings",
     "SettingsError",
     "ViewSettings",
@@ -92,6 +94,7 @@ class RunSettings(Section):
     policy: PolicySettings = PolicySettings()
     goals: GoalSettings = GoalSettings()
     evaluation: EvaluationSettings = EvaluationSettings()
+    recording: RecordingSettings = RecordingSettings()
     wire: WireSettings = WireSettings()
     view: ViewSettings = ViewSettings()
 
@@ -128,6 +131,13 @@ class RunSettings(Section):
             _check_evaluation(here, level)
             for name in levels[level]:
                 _check_rollout(self.of_block(name), name)
+        return self
+
+    @model_validator(mode="after")
+    def _open_loop_is_recorded(self) -> "RunSettings":
+        if self.phases.open_loop and (not self.recording.every_steps or any(b.children for b in self.block)):
+            sentence = "needs recording.every_steps of at least 1, and blocks without children"
+            raise misplaced(("phases", "open_loop"), sentence, True)
         return self
 
     @property
