@@ -51,7 +51,7 @@ class EyesWeights:
 
 @dataclass(frozen=True)
 class EncoderWeights:
-    """z = softmax(layers(v)), tanh between the layers (eq. 10).
+    """z = softmax(layers(v)), tanh between the layers (eq. 10); z = layers(v) without the simplex.
 
     v = (x - mean) / scale, in which the images are replaced by what the eyes find, put at the end.
     """
@@ -63,6 +63,7 @@ class EncoderWeights:
     layers: Sequence[Layer]
     eyes: Sequence[EyesWeights] = ()
     """in the order of their images in x"""
+    simplex: bool = True
 
 
 @dataclass(frozen=True)
@@ -83,8 +84,9 @@ def encoder_onnx(weights: EncoderWeights, block: str = "") -> bytes:
     graph.node("Sub", ["observation", "mean"], "centred")
     graph.node("Div", ["centred", "scale"], "standardised")
     joined = _joined(graph, "standardised", n, weights.eyes) if weights.eyes else "standardised"
-    graph.layers(weights.layers, joined, "logits")
-    graph.node("Softmax", ["logits"], "latent", axis=-1)
+    graph.layers(weights.layers, joined, "logits" if weights.simplex else "latent")
+    if weights.simplex:
+        graph.node("Softmax", ["logits"], "latent", axis=-1)
     return graph.model("encoder", {"observation": n}, {"latent": len(weights.layers[-1].bias)})
 
 

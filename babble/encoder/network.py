@@ -1,7 +1,8 @@
-"""The latent model: observation in, a point of the simplex out (thesis eq. 10)."""
+"""The latent model: observation in, a point of the simplex out (thesis eq. 10), or any point without it."""
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 import torch
@@ -10,6 +11,8 @@ from torch import Tensor, nn
 
 from babble.encoder.vision import FEATURES, Eyes
 from babble.observations import VECTORS, Layout, Senses
+
+Output = Literal["softmax", "linear"]
 
 
 def weight_bytes(
@@ -23,6 +26,8 @@ def weight_bytes(
 
 class Encoder(nn.Module):
     """x -> z = softmax(MLP(v)), with tanh layers; z is (B, latent_dim), its rows sum to 1.
+
+    With the `output` "linear" z = MLP(v): no simplex, any numbers (thesis 4.5, C3).
 
     v = (x - mean) / scale, in which `Eyes` have replaced the images by their features, put at the end.
     `mean` and `scale` are part of the model and never trained: set once from phase 1 and frozen,
@@ -42,6 +47,7 @@ class Encoder(nn.Module):
         scale: ArrayLike = 1.0,
         *,
         vision_features: int = FEATURES,
+        output: Output = "softmax",
         seed: int | None = None,
     ) -> None:
         super().__init__()
@@ -51,6 +57,7 @@ class Encoder(nn.Module):
         self.observation_size = self.layout.size
         self.latent_dim = latent_dim
         self.hidden = tuple(hidden)
+        self.output = output
         self.register_buffer("mean", torch.zeros(self.observation_size))
         self.register_buffer("scale", torch.ones(self.observation_size))
         images = self.layout.images.values()
@@ -82,7 +89,8 @@ class Encoder(nn.Module):
         h = self._joined((observation - self.mean) / self.scale)
         for layer in list(self.layers)[:-1]:
             h = torch.tanh(layer(h))
-        return torch.softmax(self.layers[-1](h), dim=-1)
+        logits: Tensor = self.layers[-1](h)
+        return logits if self.output == "linear" else torch.softmax(logits, dim=-1)
 
     def _joined(self, standardised: Tensor) -> Tensor:
         if not self.eyes:

@@ -72,7 +72,7 @@ class EncoderModel(ActingModel):
         self.latent_dim = self._outputs["latent"]
 
     def latent(self, observation: Floats) -> Floats:
-        """z (E, d), each row on the simplex."""
+        """z (E, d), each row on the simplex, or anywhere if the encoder has a linear output."""
         return self.run(observation=observation)[0]
 
 

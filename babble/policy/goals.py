@@ -1,7 +1,7 @@
-"""Goals (thesis 3.1, 3.2): one-hot vertices, when they change, and the reward for nearing them."""
+"""Goals (thesis 3.1, 3.2): vertices or random points, when they change, and the reward for nearing them."""
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -50,8 +50,22 @@ def weighted(
     return np.asarray(rewards, np.float32)
 
 
+class Clock(Protocol):
+    """Each column's goal, step by step."""
+
+    goal: Floats
+    """(E, d) the goals of the moment; another array once one of them changes"""
+
+    def tick(self, ended: Flags | None = None) -> Flags:
+        """Count one step; returns (E,) which columns drew a new goal just now.
+
+        `ended` (E,) are the columns whose episode ended with this step; None for none.
+        """
+        ...
+
+
 class _Clock:
-    """Each column's goal and the steps it still holds."""
+    """Each column's vertex and the steps it still holds, whatever becomes of its episode."""
 
     def __init__(self, columns: int, latent_dim: int, period_steps: int, rng: np.random.Generator) -> None:
         if columns < 1 or latent_dim < 2 or period_steps < 1:
@@ -68,8 +82,8 @@ class _Clock:
         self.goal = one_hot(self.index, latent_dim)
         """(E, d) the vertices as one-hot rows; another array once one of them changes"""
 
-    def tick(self) -> Flags:
-        """Count one step; returns (E,) which columns drew a new goal just now."""
+    def tick(self, ended: Flags | None = None) -> Flags:
+        """See `Clock.tick`; an episode's end changes nothing."""
         self._left -= 1
         due = np.asarray(self._left == 0)
         if due.any():
@@ -91,6 +105,45 @@ class GoalClock(_Clock):
 
     def _next(self) -> NDArray[np.int64]:
         return self._rng.integers(0, self.latent_dim, len(self.index))
+
+
+class PointClock:
+    """Goals that are points drawn uniformly from the simplex, Dirichlet(1, ..., 1), in each column apart.
+
+    For the condition without one-hot goals (thesis 4.5, C4). A goal holds for an episode of its column. Where
+    the world has no episodes it holds for `period_steps`, the columns out of phase.
+    """
+
+    def __init__(
+        self, columns: int, latent_dim: int, period_steps: int | None, rng: np.random.Generator
+    ) -> None:
+        """`period_steps` is None for goals that only the end of an episode changes."""
+        if columns < 1 or latent_dim < 2 or (period_steps is not None and period_steps < 1):
+            raise ValueError(
+                "goals need columns >= 1, latent_dim >= 2 and a period >= 1 step or none, "
+                f"got {columns}, {latent_dim} and {period_steps}"
+            )
+        self.latent_dim = latent_dim
+        self._period_steps = period_steps
+        self._rng = rng
+        self._left = rng.integers(1, (period_steps or 1) + 1, columns)
+        self.goal = self._points(columns)
+        """(E, d) the points; another array once one of them changes"""
+
+    def tick(self, ended: Flags | None = None) -> Flags:
+        """See `Clock.tick`."""
+        due = np.zeros(len(self.goal), bool) if ended is None else np.array(ended, bool)
+        if self._period_steps is not None:
+            self._left -= 1
+            due |= self._left == 0
+            self._left[due] = self._period_steps
+        if due.any():
+            self.goal = self.goal.copy()
+            self.goal[due] = self._points(int(due.sum()))
+        return due
+
+    def _points(self, count: int) -> Floats:
+        return self._rng.dirichlet(np.ones(self.latent_dim), count).astype(np.float32)
 
 
 class RandomGoals:

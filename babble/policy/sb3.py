@@ -70,7 +70,7 @@ def build_ppo(latent_dim: int, action_size: int, settings: PPOSettings, rng: np.
         device="cpu",
         _init_setup_model=False,
     )
-    ppo.observation_space = spaces.Box(0.0, 1.0, (2 * latent_dim,), dtype=np.float32)
+    ppo.observation_space = spaces.Box(-np.inf, np.inf, (2 * latent_dim,), dtype=np.float32)
     ppo.action_space = spaces.Box(-1.0, 1.0, (action_size,), dtype=np.float32)
     ppo.n_envs = settings.columns
     with torch.random.fork_rng(devices=[]):

@@ -9,7 +9,8 @@ from babble.legs import Witness
 from babble.levels import Stage, stage_of
 from babble.limbs import blocks_below
 from babble.noise import Noise, make_noise
-from babble.policy.goals import GoalClock, RandomGoals, WalkClock
+from babble.policy.goals import Clock, GoalClock, PointClock, RandomGoals, WalkClock
+from babble.worlds import WORLDS
 from protocol.messages import Phase
 from services.actor.config import Body
 from services.actor.models import ModelShelf
@@ -70,19 +71,33 @@ def staged(term: Term, body: Body, shelf: ModelShelf, witness: Witness) -> Stage
 
 def way_of(term: Term, body: Body, stage: Stage, shelf: ModelShelf, rng: np.random.Generator) -> Way:
     """The way of acting in a phase that trains or collects."""
-    columns, goals = body.world.columns, term.level_settings.goals
-    dims = {block: body.tree.specs[block].latent_dim for block in term.blocks}
     cast = Cast(stage, {block: body.layouts[block].pack for block in term.blocks})
     if term.phase is Phase.BABBLE:
         return RandomWay(cast, {block: _noise(term, body, block, rng) for block in term.blocks})
     if term.phase is Phase.WALK:
-        period = goals.walk_steps_per_goal // term.env_steps
-        walks = {block: WalkClock(columns, dim, period, rng) for block, dim in dims.items()}
         hold = term.settings.decision_steps[term.level] // term.env_steps
-        return WalkWay(cast, shelf, walks, rng, hold_steps=hold)
-    period = goals.period_steps // term.env_steps
-    clocks = {block: GoalClock(columns, dim, period, rng) for block, dim in dims.items()}
-    return PractiseWay(cast, shelf, clocks, rng, external=goals.external_weight != 0)
+        return WalkWay(cast, shelf, _clocks(term, body, rng), rng, hold_steps=hold)
+    external = term.level_settings.goals.external_weight != 0
+    return PractiseWay(cast, shelf, _clocks(term, body, rng), rng, external=external)
+
+
+def _clocks(term: Term, body: Body, rng: np.random.Generator) -> dict[str, Clock]:
+    """The goals of each block at work."""
+    goals, columns = term.level_settings.goals, body.world.columns
+    walks = term.phase is Phase.WALK
+    period = (goals.walk_steps_per_goal if walks else goals.period_steps) // term.env_steps
+    dims = {block: body.tree.specs[block].latent_dim for block in term.blocks}
+    if goals.kind == "random":
+        held = None if has_episodes(term.settings) else period
+        return {block: PointClock(columns, dim, held, rng) for block, dim in dims.items()}
+    clock = WalkClock if walks else GoalClock
+    return {block: clock(columns, dim, period, rng) for block, dim in dims.items()}
+
+
+def has_episodes(settings: RunSettings) -> bool:
+    """Whether the run's world begins anew after so many steps."""
+    given = settings.world.parameters
+    return bool((WORLDS[settings.world.id].maker.defaults() | given).get("episode_steps", 0))
 
 
 def _noise(term: Term, body: Body, block: str, rng: np.random.Generator) -> Noise:
@@ -106,4 +121,6 @@ def _noise(term: Term, body: Body, block: str, rng: np.random.Generator) -> Nois
         rng=rng,
         correlation=babbling.correlation,
         hold_steps=babbling.hold_steps,
+        exponents=babbling.exponents,
+        block_steps=babbling.block_steps,
     )

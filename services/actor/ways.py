@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from babble.legs import Seen
 from babble.levels import Stage
-from babble.noise import Noise
-from babble.policy.goals import GoalClock, WalkClock
+from babble.noise import Coloured, Noise
+from babble.policy.goals import Clock
 from babble.policy.together import Drawn, Encoders, Policies
 from babble.worlds.batch import Step
 from services.actor.models import Held, ModelShelf
@@ -34,6 +34,9 @@ class Way(Protocol):
 
     def begin_segment(self) -> None:
         """Take the newest models; called at the border of each segment."""
+
+    def note_progress(self, progress: float) -> None:
+        """Hear which share of the term is over, in [0, 1]."""
 
     def act(self, observation: Floats) -> Floats:
         """The action (E, a) of all blocks on the stage's observation (E, n)."""
@@ -84,6 +87,12 @@ class RandomWay:
     def begin_segment(self) -> None:
         """Nothing to take."""
 
+    def note_progress(self, progress: float) -> None:
+        """Tell the noises whose colour goes with it."""
+        for noise in self._noises.values():
+            if isinstance(noise, Coloured):
+                noise.progress = progress
+
     def act(self, observation: Floats) -> Floats:
         """The next noise."""
         return self._cast.joined({block: noise.sample() for block, noise in self._noises.items()})
@@ -102,7 +111,7 @@ class _ModelWay:
         self,
         cast: Cast,
         shelf: ModelShelf,
-        clocks: Mapping[str, GoalClock] | Mapping[str, WalkClock],
+        clocks: Mapping[str, Clock],
         rng: np.random.Generator,
     ) -> None:
         self.seen: Mapping[str, Seen | None] = {}
@@ -131,6 +140,9 @@ class _ModelWay:
             self._encoders = Encoders(encoders)
         self._policies = Policies({block: each.policy for block, each in models.items()})
 
+    def note_progress(self, progress: float) -> None:
+        """Nothing: models act alike from beginning to end."""
+
     def _goals(self) -> dict[str, Floats]:
         """The goals of the moment."""
         return {block: clock.goal for block, clock in self._clocks.items()}
@@ -145,13 +157,13 @@ class _ModelWay:
 
 
 class WalkWay(_ModelWay):
-    """WALK: from vertex to vertex with sampled actions, for the encoder to see the way."""
+    """WALK: from goal to goal with sampled actions, for the encoder to see the way."""
 
     def __init__(
         self,
         cast: Cast,
         shelf: ModelShelf,
-        clocks: Mapping[str, WalkClock],
+        clocks: Mapping[str, Clock],
         rng: np.random.Generator,
         *,
         hold_steps: int = 1,
@@ -163,7 +175,7 @@ class WalkWay(_ModelWay):
         self._action = np.zeros(0, np.float32)
 
     def act(self, observation: Floats) -> Floats:
-        """Sampled actions towards the vertices of the moment."""
+        """Sampled actions towards the goals of the moment."""
         if self._steps % self._hold_steps == 0:
             drawn = self._drawn(self._latents(observation), self._goals())
             self._action = self._cast.joined({block: action for block, (action, _) in drawn.items()})
@@ -172,8 +184,9 @@ class WalkWay(_ModelWay):
 
     def record(self, observation: Floats, step: Step, episode: NDArray[np.int32]) -> dict[str, Record]:
         """The observation and its episode."""
+        ended = step.terminated | step.truncated
         for clock in self._clocks.values():
-            clock.tick()
+            clock.tick(ended)
         return self._cast.packed(observation, episode)
 
 
@@ -184,7 +197,7 @@ class PractiseWay(_ModelWay):
         self,
         cast: Cast,
         shelf: ModelShelf,
-        clocks: Mapping[str, GoalClock],
+        clocks: Mapping[str, Clock],
         rng: np.random.Generator,
         *,
         external: bool,
@@ -213,7 +226,7 @@ class PractiseWay(_ModelWay):
         """One transition; a goal switch is a truncation under the old goal (eq. 11, facts section 1)."""
         latents, arrived = self._latent, self._latents(step.observation)
         assert latents is not None
-        terminated = step.terminated.astype(np.uint8)
+        terminated, ended = step.terminated.astype(np.uint8), step.terminated | step.truncated
         records: dict[str, Record] = {}
         for block, clock in self._clocks.items():
             action, log_prob = self._acted[block]
@@ -223,11 +236,10 @@ class PractiseWay(_ModelWay):
                 "goal": self._goal[block],
                 "action": action,
                 "log_prob": log_prob,
-                "truncated": (clock.tick() | step.truncated).astype(np.uint8),
+                "truncated": (clock.tick(ended) | step.truncated).astype(np.uint8),
                 "terminated": terminated,
             }
             if self._external:
                 records[block]["external_reward"] = step.external_reward
-        ended = step.terminated | step.truncated
         self._latent = None if ended.any() else arrived
         return records

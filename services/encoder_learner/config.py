@@ -47,8 +47,9 @@ class EncoderWorkConfig:
         return -(-self.steps[phase] // self.steps_per_row[phase])
 
     def fit(self, phase: Phase) -> FitSettings:
-        """The fit of a phase: coarse in time for ENCODE, fine for REFINE."""
-        return self.encoder.encode if phase is Phase.ENCODE else self.encoder.refine
+        """The fit of a phase: coarse in time for ENCODE, fine for REFINE; of no updates without CLTT."""
+        fit = self.encoder.encode if phase is Phase.ENCODE else self.encoder.refine
+        return fit if self.encoder.contrastive else fit.model_copy(update={"updates": 0})
 
 
 def work_config(

@@ -237,6 +237,7 @@ def _new_trainer(config: EncoderWorkConfig) -> EncoderTrainer:
         config.latent_dim,
         hidden=tuple(config.encoder.hidden),
         vision_features=config.encoder.vision_features,
+        output=config.encoder.output,
         seed=config.seed,
     )
     return EncoderTrainer(

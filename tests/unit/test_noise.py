@@ -68,7 +68,7 @@ def test_the_seed_decides_and_columns_are_independent(kind):
 @pytest.mark.parametrize(
     ("kind", "settings", "words"),
     [
-        ("brown", {}, "there is no noise 'brown'; the kinds are white, pink, ou, held"),
+        ("brown", {}, "there is no noise 'brown'; the kinds are white, pink, ou, held, coloured"),
         ("ou", {"correlation": 1.0}, "correlation"),
         ("held", {"hold_steps": 0}, "hold_steps"),
     ],
