@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from babble.breakdowns import Breakdowns
 from babble.encoder.export import export_encoder
-from babble.encoder.network import Encoder
+from babble.encoder.network import Encoder, Output
 from babble.encoder.vision import FEATURES
 from babble.memory import ExperienceMemory
 from babble.noise import Noise
@@ -35,6 +35,7 @@ def train_on_untrained_encoder(
     goal_period_steps: int = 100,
     encoder_hidden: tuple[int, ...] = (64, 64),
     vision_features: int = FEATURES,
+    encoder_output: Output = "softmax",
     seed: int = 0,
     **ppo: Any,
 ) -> tuple[EncoderModel, PolicyModel]:
@@ -54,6 +55,7 @@ def train_on_untrained_encoder(
         mean,
         scale,
         vision_features=vision_features,
+        output=encoder_output,
         seed=encoder_seed,
     )
     encoder = EncoderModel(export_encoder(network))

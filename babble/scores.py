@@ -27,7 +27,9 @@ __all__ = [
 ]
 
 REACHED = 0.9
-"""A goal counts as reached when its component of the latent is at least this."""
+"""A goal counts as reached when the latent is at least so near to it; see `nearness`."""
+ROUNDING = 1e-6
+"""Components of a latent on the simplex sum to 1 up to this."""
 
 Doubles = NDArray[np.float64]
 
@@ -56,7 +58,8 @@ def score(
       the mean distance of consecutive legs' ends over columns and legs, and separation_worst the
       least. For more, distances between the vertices' mean ends: the mean over pairs, and the least.
     - z_min: the mean of z_j at the ends of legs to vertex j, for the worst j that was a goal; z_goal:
-      the mean over all legs; switch_success: the share of legs with z_goal >= 0.9.
+      the mean over all legs; switch_success: the share of legs with z_goal >= 0.9. Without the simplex z_j
+      may be any number, and the `nearness` to the vertex is taken for it.
     - crossing: the share of consecutive legs that end on opposite sides of `crossing_axis`.
     - landmarks: of the legs to the vertex that stands for a landmark, the share that ended at it. At
       most one vertex stands for a landmark and one landmark for a vertex, so that the sum of the shares
@@ -69,7 +72,7 @@ def score(
     _check(legs)
     posture, goal = legs.posture[1:].astype(np.float64), legs.goal[1:].astype(np.int64)
     visited, latent_dim = np.unique(goal), legs.latent.shape[2]
-    at_goal = np.take_along_axis(legs.latent[1:].astype(np.float64), goal[:, :, None], axis=2)[:, :, 0]
+    at_goal = nearness(legs.latent[1:].astype(np.float64), goal)
     apart = _apart(posture, goal, visited, latent_dim) / diameter
     shares, vertices = _reached(landmarks, posture, goal, visited)
     external, by_vertex = _external(legs, goal, latent_dim)
@@ -85,6 +88,17 @@ def score(
         external_reward=external,
         external_reward_by_vertex=by_vertex,
     )
+
+
+def nearness(latent: Doubles, goal: NDArray[np.int64]) -> Doubles:
+    """(..., d) and the vertices aimed at (...) -> (...): z_j, but at most 1 - ||e_j - z|| / sqrt(2).
+
+    On the simplex ||e_j - z|| <= sqrt(2) (1 - z_j), so it is z_j there. Off the simplex, where a latent far
+    beyond the vertex would have a z_j of 5, it is 1 at the vertex only and falls with the distance from it.
+    """
+    at_goal = np.take_along_axis(latent, goal[..., None], axis=-1)[..., 0]
+    apart = np.linalg.norm(latent - np.eye(latent.shape[-1])[goal], axis=-1)
+    return np.asarray(np.minimum(at_goal, 1 - apart / np.sqrt(2) + ROUNDING))
 
 
 def _check(legs: Legs) -> None:

@@ -49,6 +49,7 @@ def _train_control(opened: Run, block: str, seed: int) -> BlockModels:
             goal_period_steps=settings.goals.period_steps,
             encoder_hidden=tuple(settings.encoder.hidden),
             vision_features=settings.encoder.vision_features,
+            encoder_output=settings.encoder.output,
             seed=seed,
             steps=settings.actors.segment_steps,
             reward_form=settings.goals.reward,
@@ -62,13 +63,10 @@ def _train_control(opened: Run, block: str, seed: int) -> BlockModels:
 
 def _babbling(settings: RunSettings, world: World, seed: int) -> Noise:
     return make_noise(
-        settings.babbling.kind,
-        scale=settings.babbling.scale,
+        **settings.babbling.model_dump(exclude={"subgoal_steps"}),
         columns=world.columns,
         size=world.action_size,
         rng=np.random.default_rng([seed, 6, 3]),
-        correlation=settings.babbling.correlation,
-        hold_steps=settings.babbling.hold_steps,
     )
 
 

@@ -69,6 +69,8 @@ __all__ = [
 
 MOST_BLOCKS = 100
 """A status names the two models of each block, and has two scores of each, within the protocol's limits."""
+MOST_DRAWN = 2_000_000
+"""Steps of coloured noise that an actor draws ahead: 370 MB of them for the 46 motors of the whole body."""
 LONGEST_SHOWN = 200
 """So many characters of a wrong value, or of its key, get into a sentence."""
 DECIDING = frozenset({Phase.GROUND, Phase.PRACTISE, Phase.EVALUATE})
@@ -131,6 +133,14 @@ class RunSettings(Section):
             _check_evaluation(here, level)
             for name in levels[level]:
                 _check_rollout(self.of_block(name), name)
+        return self
+
+    @model_validator(mode="after")
+    def _noise_fits(self) -> "RunSettings":
+        held = self.actors.envs_per_actor * self.babbling.block_steps
+        if self.babbling.kind == "coloured" and held > MOST_DRAWN:
+            sentence = f"times actors.envs_per_actor may be at most {MOST_DRAWN:,}: an actor holds its blocks"
+            raise misplaced(("babbling", "block_steps"), sentence, self.babbling.block_steps)
         return self
 
     @model_validator(mode="after")

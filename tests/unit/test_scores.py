@@ -205,3 +205,12 @@ def test_blocks_walk_at_once_each_to_its_own_vertices_with_its_own_part_of_the_b
         np.testing.assert_allclose(legs[block].posture[:, :, axis], 2 * legs[block].goal - 1)
         assert score(legs[block], 2.0)["z_min"] == pytest.approx(1.0)
     np.testing.assert_allclose(legs["x"].posture[-1, :, 1], legs["x"].start_posture[:, 1])
+
+
+@pytest.mark.parametrize(("latent", "near"), [([5.0, -4.0], -3.0), ([1.0, 0.0], 1.0), ([1.2, 0.0], 0.86)])
+def test_off_the_simplex_a_latent_far_beyond_a_vertex_has_not_reached_it(latent, near):
+    legs = perfect([[0], [1], [0], [1]])
+    legs.latent[2] = latent
+    found = score(legs, 2.0)
+    assert found["z_goal"] == pytest.approx((2 + near) / 3, abs=0.01)
+    assert (found["switch_success"] == 1.0) is (near == 1.0)
