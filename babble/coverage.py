@@ -12,7 +12,7 @@ import numpy as np
 
 from babble.coverage_cells import visited_cells_entropy
 from babble.coverage_centres import insertion_distances
-from babble.coverage_diameter import diameter, furthest_pair
+from babble.coverage_diameter import bulk_diameter, diameter, furthest_pair
 from babble.coverage_neighbours import dimensions, neighbour_ratios, spread_rows, twonn
 from babble.coverage_passes import Doubles, Floats, moments
 
@@ -42,6 +42,8 @@ class Coverage:
     diameter_exact: bool
     furthest_rows: tuple[int, int]
     """The two states that are so far apart."""
+    bulk_diameter: float
+    """The same without the one state in 10,000 that lies furthest from the mean; a lower bound."""
     projection_width: float
     """The largest extent along one of 64 random directions; never above the diameter."""
     radius: float
@@ -108,6 +110,7 @@ def coverage(states: Floats, *, seed: int = 0, neighbour_rows: int = 6000, centr
         diameter=wide.distance,
         diameter_exact=wide.exact,
         furthest_rows=wide.rows,
+        bulk_diameter=bulk_diameter(states, known, seed),
         projection_width=wide.projection_width,
         radius=wide.radius,
         box_diagonal=known.box_diagonal,

@@ -23,6 +23,8 @@ DIRECTIONS = 64
 """Of the projections whose ends are on the convex hull."""
 MOST_PAIRED = 10_000
 """Rows that are compared each with each."""
+OUTLYING = 10_000
+"""One row in so many, the furthest from the mean, does not belong to the bulk."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,22 @@ def diameter(states: Floats, known: Moments, seed: int = 0) -> Diameter:
     return Diameter(best, distance(states, *best), exact, width, radius)
 
 
+def bulk_diameter(states: Floats, known: Moments, seed: int = 0) -> float:
+    """The largest distance that sweeps find between rows of the bulk, a lower bound.
+
+    A single step in which a limb is flung by a contact, out of a million, can make a diameter three times
+    as large; the bulk is all rows but the one in OUTLYING that lies furthest from the mean.
+    """
+    middle = known.mean.astype(np.float32)
+    squares = squared_distances(states, middle)
+    outlying = -(-len(states) // OUTLYING)
+    limit = np.partition(squares, len(states) - 1 - outlying)[len(states) - 1 - outlying]
+    inside = np.flatnonzero(squares <= limit)
+    drawn = np.random.default_rng(seed).choice(inside, STARTS)
+    starts = np.append(drawn, inside[squares[inside].argmax()])
+    return distance(states, *_swept(states, starts, middle, limit))
+
+
 def _extremes(states: Floats, middle: Floats, seed: int) -> tuple[Indices, float]:
     """The rows at both ends of each direction, and the largest extent."""
     directions = unit_directions(DIRECTIONS, states.shape[1], seed)
@@ -103,11 +121,13 @@ def _furthest_of(states: Floats, rows: Indices, middle: Floats) -> tuple[int, in
     return pair
 
 
-def _swept(states: Floats, starts: Indices, middle: Floats) -> tuple[int, int]:
-    """The furthest pair that sweeps from the starts end at."""
+def _swept(
+    states: Floats, starts: Indices, middle: Floats, limit: float | np.floating = np.inf
+) -> tuple[int, int]:
+    """The furthest pair that sweeps from the starts end at, of rows whose square is not over the limit."""
     reach, best = 0.0, (0, 0)
     for _ in range(MOST_SWEEPS):
-        ends = _furthest_from(states, starts, middle)
+        ends = _furthest_from(states, starts, middle, limit)
         pairs = [(int(start), int(end)) for start, end in zip(starts, ends, strict=True)]
         lengths = np.array([distance(states, *pair) for pair in pairs])
         if lengths.max() <= reach:
@@ -117,14 +137,15 @@ def _swept(states: Floats, starts: Indices, middle: Floats) -> tuple[int, int]:
     return best
 
 
-def _furthest_from(states: Floats, starts: Indices, middle: Floats) -> Indices:
-    """For each start the row furthest from it."""
+def _furthest_from(states: Floats, starts: Indices, middle: Floats, limit: float | np.floating) -> Indices:
+    """For each start the row furthest from it, of those whose square is not over the limit."""
     points = states[starts] - middle
     found, best = np.zeros(len(starts), np.int64), np.full(len(starts), -np.inf, np.float32)
     for rows in chunks(len(states)):
         moved = states[rows] - middle
+        squares = np.einsum("ij,ij->i", moved, moved)
         # The start's own square is the same for all rows, so it does not matter which is the largest.
-        apart = np.einsum("ij,ij->i", moved, moved) - 2 * (points @ moved.T)
+        apart = np.where(squares <= limit, squares, -np.inf) - 2 * (points @ moved.T)
         at = apart.argmax(axis=1)
         peak = apart[np.arange(len(starts)), at]
         better = peak > best

@@ -81,6 +81,16 @@ def test_one_far_row_is_found() -> None:
     assert 1234 in furthest_pair(states)[:2]
 
 
+def test_the_bulk_has_a_diameter_that_a_single_far_row_does_not_change() -> None:
+    cloud = embedded(sphere(20_000, 3))
+    flung = cloud.copy()
+    flung[777] *= 50
+    flung[4242] *= -40
+    assert coverage(flung).diameter > 80
+    assert coverage(flung).bulk_diameter == pytest.approx(2, abs=0.01)
+    assert coverage(cloud).bulk_diameter <= coverage(cloud).diameter
+
+
 def test_centres_are_inserted_as_the_plain_algorithm_does() -> None:
     middle = PANCAKE.mean(axis=0)
     first = np.linalg.norm(PANCAKE - middle, axis=1).argmin()
