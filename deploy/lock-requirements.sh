@@ -15,6 +15,7 @@ export_extra() {
 export_extra core coordinator
 export_extra actor actor
 export_extra dashboard dashboard
+export_extra recorder recorder
 export_extra tools launcher
 if [ -z "${TORCH_INDEX:-}" ]; then
     export_extra learner learner

@@ -86,7 +86,7 @@ def test_the_bulk_has_a_diameter_that_a_single_far_row_does_not_change() -> None
     flung = cloud.copy()
     flung[777] *= 50
     flung[4242] *= -40
-    assert coverage(flung).diameter > 80
+    assert coverage(flung).diameter > 50
     assert coverage(flung).bulk_diameter == pytest.approx(2, abs=0.01)
     assert coverage(cloud).bulk_diameter <= coverage(cloud).diameter
 
@@ -172,7 +172,9 @@ def test_rows_that_repeat_are_counted_and_left_out_of_the_neighbours() -> None:
     found, once = coverage(twice), coverage(PANCAKE[:400])
     assert (found.duplicates, once.duplicates) == (400, 0)
     pair = once.furthest_rows
-    alike(replace(found, rows=400, neighbour_rows=400, duplicates=0, furthest_rows=pair), once)
+    # One row is left out of the bulk: of two that are the same the other one stays in.
+    alone = {"rows": 400, "neighbour_rows": 400, "duplicates": 0, "bulk_diameter": once.bulk_diameter}
+    alike(replace(found, furthest_rows=pair, **alone), once)
 
 
 @pytest.mark.parametrize(
