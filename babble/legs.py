@@ -11,14 +11,17 @@ from babble.breakdowns import Breakdowns
 from babble.policy.act import Floats, Mode
 from babble.policy.goals import WalkClock
 from babble.policy.together import Acts, Encoders, Encodes, Policies
-from babble.worlds.batch import Step, World
+from babble.worlds.batch import Flags, Step, World
 
 Seen = tuple[Floats, Floats]
 """What a block acts on: its latent and its goal, each (E, d)."""
 
 
 class Witness:
-    """Looks on while worlds are stepped, for people; this one never looks. It changes nothing it sees."""
+    """Looks on while worlds are stepped, for people or a recorder; this one never looks.
+
+    It changes nothing it sees, and keeps none of the arrays it is shown: they may be written over.
+    """
 
     looking = False
     """Whether the next step is to be seen."""
@@ -28,6 +31,12 @@ class Witness:
 
         None for a block that acts without a latent.
         """
+
+    def stepped(self, step: Step) -> None:
+        """After each environment step of the body: what it gave, before anything is begun anew."""
+
+    def begun(self, columns: Flags) -> None:
+        """A new episode has begun in the flagged columns (E,)."""
 
     def passed(self) -> None:
         """After each environment step of a world whose steps are several: the next one may be seen too."""
@@ -157,6 +166,7 @@ class Walk:
         self._rewards: list[Floats] = []
         self._ends: dict[str, list[tuple[Floats, NDArray[np.int32]]]] = {b: [] for b in self._walkers}
         self._seen: dict[str, Seen | None] = {}
+        self._witness.begun(np.ones(self._world.columns, np.bool_))
         self._witness.cut()
         if self._traced:
             self.path = Path([self._start], {block: [] for block in self._walkers})
@@ -166,6 +176,7 @@ class Walk:
         if self._witness.looking:
             self._witness.see(self._observation, self._seen)
         step = self._world.step(action)
+        self._witness.stepped(step)
         self.steps += 1
         if step.failed is not None and step.failed.any():
             self._breakdowns.note(step.failed, len(self._walkers))
@@ -181,7 +192,10 @@ class Walk:
         for clock in self._clocks.values():
             clock.tick()
         ended = step.terminated | step.truncated
-        self._observation = self._world.restart(ended) if ended.any() else step.observation
+        self._observation = step.observation
+        if ended.any():
+            self._observation = self._world.restart(ended)
+            self._witness.begun(ended)
         if ended[0]:
             self._witness.cut()
 

@@ -93,7 +93,7 @@ class LevelWorld:
         self.senses: Mapping[str, tuple[int, ...]] = {"latent": (limbs.size,)}
         self.posture_size, self.posture_names = world.posture_size, world.posture_names
         self.diameter, self.crossing_axis = world.diameter, world.crossing_axis
-        self.rewarded = world.rewarded
+        self.rewarded, self.state_names = world.rewarded, world.state_names
         self.landmarks: tuple[Landmark, ...] = world.landmarks
         components = [
             (child, vertex)
@@ -135,6 +135,10 @@ class LevelWorld:
         posture = self.body.posture()
         return posture if self._ended is None else self._ended.left(posture)
 
+    def state(self) -> Floats:
+        """(E, s) of the body, now."""
+        return self.body.state()
+
     def step(self, action: Floats) -> Step:
         """Give the children their goals by (E, a), and let them act for the steps that these are held.
 
@@ -173,11 +177,13 @@ class LevelWorld:
             self._witness.see(before, {**self.relay.above, **self._limbs.seen})
         step = self.body.step(action)
         self._observation = step.observation
+        self._witness.stepped(step)
         self._witness.passed()
         return step
 
     def _begin_anew(self, over: Flags) -> None:
         self._observation = self.body.restart(over)
+        self._witness.begun(over)
         if over[0]:
             self._witness.cut()
 
@@ -237,6 +243,9 @@ class _Relay(Witness):
 
     def see(self, observation: Floats, seen: Mapping[str, Seen | None]) -> None:
         self.above = dict(seen)
+
+    def begun(self, columns: Flags) -> None:
+        self._witness.begun(columns)
 
     def cut(self) -> None:
         self._witness.cut()

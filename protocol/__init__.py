@@ -1,4 +1,4 @@
 """What crosses the wire: messages, keys, codec, fingerprint and ledger (see SPEC.md)."""
 
-PROTOCOL = 2
+PROTOCOL = 3
 """The protocol number in every frame; SPEC.md says when it is raised and why it was."""

@@ -12,8 +12,8 @@ from protocol.refusal import Reason, Refused, shown
 DTYPES = {name: np.dtype(name) for name in ("<f2", "<f4", "<f8", "<i4", "<i8", "|i1", "|u1")}
 """The array types that travel."""
 MAX_DIMENSIONS = 6
-MAX_ARRAYS = 64
-MAX_NAME_CHARS = 64
+MAX_ARRAYS = 240
+MAX_NAME_CHARS = 80
 
 
 def pack(arrays: Mapping[str, NDArray[np.generic]]) -> dict[str, list[object]]:

@@ -5,8 +5,9 @@ the same one throughout a message.
 """
 
 from dataclasses import dataclass
+from re import fullmatch
 
-from protocol.messages import Phase, Segment, View, WithArrays
+from protocol.messages import ALL_BLOCKS, NAME_PATTERN, RECORDER, Phase, Segment, View, WithArrays
 from protocol.refusal import Reason, Refused, shown
 
 
@@ -61,6 +62,14 @@ SEGMENT_ARRAYS: dict[str, Rules] = {
     Phase.EVALUATE: _EVALUATED,
 }
 """By phase; in any other phase nobody sends experience."""
+RECORDED_ARRAYS: Rules = {
+    "state": ArrayRule("<f4", ("T", "E", "s")),
+    "episode": ArrayRule("<i4", ("T", "E")),
+    "external_reward": ArrayRule("<f4", ("T", "E"), required=False),
+}
+"""Of a segment for the recorder, in each of these phases."""
+RECORDED_OF_BLOCK = ("latent", "goal")
+"""And "<one of these>/<block>" (T, E, d) for each block that acts on a latent; d is the block's own."""
 MODEL_ARRAYS: Rules = {"onnx": ArrayRule("|u1", ("n",))}
 VIEW_ARRAYS: dict[str, Rules] = {
     "latent": {
@@ -119,14 +128,34 @@ def _rules(message: WithArrays) -> tuple[Rules, dict[str, int]]:
             raise Refused(
                 Reason.BAD_HEADER, f"segment header: phase: nobody sends experience in {message.phase}"
             )
+        if message.consumer == RECORDER:
+            rules = _recorded(message)
         return rules, {"T": message.steps, "E": message.columns}
     if isinstance(message, View):
         return VIEW_ARRAYS[message.view], {}
     return MODEL_ARRAYS, {}
 
 
+def _recorded(segment: Segment) -> Rules:
+    """The rules of a segment for the recorder, with those of the blocks that it names."""
+    if segment.block != ALL_BLOCKS:
+        raise Refused(
+            Reason.BAD_HEADER,
+            f"segment header: block: the {RECORDER} is sent {ALL_BLOCKS!r}, not {shown(segment.block)}",
+        )
+    rules = dict(RECORDED_ARRAYS)
+    for name in segment.arrays:
+        what, _, block = name.partition("/")
+        if what in RECORDED_OF_BLOCK and fullmatch(NAME_PATTERN, block):
+            shape = ("T", "E", f"d of {block}")
+            rules |= {f"{each}/{block}": ArrayRule("<f4", shape) for each in RECORDED_OF_BLOCK}
+    return rules
+
+
 def _place(message: WithArrays) -> str:
     match message:
+        case Segment(consumer=consumer) if consumer == RECORDER:
+            return f"a recorder's segment of {message.phase}"
         case Segment():
             return f"a segment of {message.phase}"
         case View():

@@ -28,6 +28,8 @@ Arrays = Mapping[str, NDArray[np.generic]]
 
 ALL_BLOCKS = "all"
 """The block name of messages that concern the whole run (phase, status, command)."""
+RECORDER = "recorder"
+"""The consumer of the states of a whole body, which nobody learns from."""
 
 MAX_ENTRIES = 256
 """The most entries of a list or map in a header; bounds memory, far above any real use."""
@@ -120,12 +122,19 @@ class Segment(WithArrays):
       float32; truncated, terminated (T, E) uint8; and perhaps external_reward (T, E) float32.
     - EVALUATE: posture (L, E, p), latent (L, E, d) float32, goal (L, E) int32, and perhaps
       start_posture (E, p) and external_reward (L, E) float32.
+
+    For the consumer `RECORDER`, of `ALL_BLOCKS`, a step is one of the environment in every phase: state
+    (T, E, s) float32, episode (T, E) int32, perhaps external_reward (T, E) float32, and for each block that
+    acts on a latent "latent/<block>" and "goal/<block>" (T, E, d) float32, with a d of its own.
     """
 
     kind: ClassVar[str] = "segment"
     consumer: Name
     fingerprint: Fingerprint
     phase: PhaseText
+    level: Count = 0
+    iteration: Count = 0
+    """Of the announcement under which it was made, as is the level."""
     encoder_version: Count = 0
     policy_version: Count = 0
     """The policy version that acted in this segment."""
@@ -133,11 +142,15 @@ class Segment(WithArrays):
     steps: Annotated[int, Field(ge=1, le=MAX_STEPS)]
     columns: Annotated[int, Field(ge=1, le=2**16)]
     first_step: Count
-    """Steps of the block per column that this life had done in this term before the segment."""
+    """Steps of the block per column that this life had done in this term before the segment.
+
+    For the recorder: environment steps per column that this life had done, in all its terms, before the
+    first row; each row is as many later as the run's settings say (`recording.every_steps`).
+    """
 
 
 class Ack(Header):
-    """A learner's word to one sender: what it holds safely, and what it wants next."""
+    """A consumer's word to one sender: what it holds safely, and what it wants next."""
 
     kind: ClassVar[str] = "ack"
     to: Name
@@ -149,6 +162,8 @@ class Ack(Header):
     policy_floor: Count = 0
     """The experience is wanted from this policy version or a newer one."""
     want: Literal["random", "sampled", "mean"] = "random"
+    progress: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.0
+    """The share of what the consumer wants in this term that it holds, of all senders."""
 
 
 class Model(WithArrays):

@@ -101,6 +101,11 @@ class World(Protocol):
         ...
 
     @property
+    def state_names(self) -> tuple[str, ...]:
+        """(s,) the names of the state's components: "position/<what>", then "velocity/<what>" if any."""
+        ...
+
+    @property
     def rewarded(self) -> bool:
         """Whether there is a task with an external reward; without one it is always 0."""
         ...
@@ -126,6 +131,13 @@ class World(Protocol):
         """(E, p) where the copies are; its distances define separation."""
         ...
 
+    def state(self) -> Floats:
+        """(E, s) how the copies are and move, in the body's own units, whatever senses it has.
+
+        Of joints: all of the posture's, rad or m, then their velocities, rad/s or m/s.
+        """
+        ...
+
 
 class PointWorld:
     """Points inside a body, each moved by a bounded velocity; implements `World`."""
@@ -135,7 +147,7 @@ class PointWorld:
     landmarks: tuple[Landmark, ...] = ()
     posture_names: tuple[str, ...] = ()
     rewarded = False
-    observation_names = ("position/x", "position/y", "position/z")
+    observation_names = state_names = ("position/x", "position/y", "position/z")
     action_size = 3
     action_names = ("x", "y", "z")
     posture_size = 3
@@ -199,6 +211,10 @@ class PointWorld:
     def posture(self) -> Floats:
         """The positions (E, 3)."""
         return self._position.astype(np.float32)
+
+    def state(self) -> Floats:
+        """The positions (E, 3); a point has no velocity of its own."""
+        return self.posture()
 
     def uniform_points(self, count: int, rng: np.random.Generator) -> Floats:
         """Positions drawn uniformly from the body."""

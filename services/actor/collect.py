@@ -20,6 +20,7 @@ from babble.segments import SegmentBuilder
 from babble.worlds.batch import Flags, Step
 from services.actor.config import Body
 from services.actor.models import ModelShelf
+from services.actor.recording import Recording
 from services.actor.stages import Term, staged, way_of
 from services.actor.ways import Floats, PolicyMode, Record, Way
 
@@ -49,6 +50,9 @@ class Collector(Protocol):
 
     def at_border(self) -> bool:
         """True between two segments."""
+
+    def note_progress(self, progress: float) -> None:
+        """Hear which share of what is wanted in this term is held, of all actors: from 0 to 1."""
 
     def advance(self, steps: int) -> list[Finished]:
         """Step the worlds up to `steps` times, at most to the end of the segment.
@@ -95,6 +99,10 @@ class SegmentCollector:
         """True between two segments."""
         return all(len(builder) == 0 for builder in self._builders.values())
 
+    def note_progress(self, progress: float) -> None:
+        """See `Collector.note_progress`; noise may change with it."""
+        self._way.note_progress(progress)
+
     def advance(self, steps: int) -> list[Finished]:
         """Step up to `steps` times; the blocks' segments end together, or are dropped together."""
         if self.at_border():
@@ -112,20 +120,28 @@ class SegmentCollector:
         if stage.witness.looking:
             stage.witness.see(before, self._way.seen)
         step = stage.world.step(action)
+        stage.witness.stepped(step)
         self._steps += 1
         if step.failed is not None and step.failed.any():
             self._drop(step, step.failed)
             return []
+        finished = self._keep(before, step)
+        ended = step.terminated | step.truncated
+        self._observation = step.observation
+        if ended.any():
+            self._observation = stage.world.restart(ended)
+            self._episode = self._episode + ended.astype(np.int32)
+            stage.witness.begun(ended)
+        if ended[0]:
+            stage.witness.cut()
+        return finished
+
+    def _keep(self, before: Floats, step: Step) -> list[Finished]:
         finished = []
         for block, record in self._way.record(before, step, self._episode).items():
             arrays = self._builders[block].add(**record)
             if arrays is not None:
                 finished.append(self._finish(block, arrays))
-        ended = step.terminated | step.truncated
-        self._observation = stage.world.restart(ended) if ended.any() else step.observation
-        self._episode = self._episode + ended.astype(np.int32)
-        if ended[0]:
-            stage.witness.cut()
         if finished:
             self._breakdowns.finish()
         return finished
@@ -135,7 +151,9 @@ class SegmentCollector:
             builder.discard()
         self._breakdowns.note(failed, segments=len(self._builders))
         self._stage.witness.cut()
-        self._observation = self._stage.world.restart(failed | step.terminated | step.truncated)
+        ended = failed | step.terminated | step.truncated
+        self._observation = self._stage.world.restart(ended)
+        self._stage.witness.begun(ended)
         self._episode = self._episode + np.int32(1)
 
     def _finish(self, block: str, arrays: dict[str, NDArray[np.generic]]) -> Finished:
@@ -152,6 +170,29 @@ class SegmentCollector:
         )
 
 
+class OpenLoopCollector(SegmentCollector):
+    """BABBLE of a run in which nobody learns: no segments are built, only what is recorded counts.
+
+    Its borders are those of the recording's chunks.
+    """
+
+    def __init__(
+        self, stage: Stage, way: Way, recording: Recording, *, observation: Floats, breakdowns: Breakdowns
+    ) -> None:
+        super().__init__(stage, way, segment_steps=1, observation=observation, breakdowns=breakdowns)
+        self._builders = {}
+        self._recording = recording
+
+    def at_border(self) -> bool:
+        """True between two chunks of rows."""
+        return self._recording.open_steps == 0
+
+    def _keep(self, before: Floats, step: Step) -> list[Finished]:
+        if self._recording.full:
+            self._breakdowns.finish()
+        return []
+
+
 def collector_of(
     term: Term,
     body: Body,
@@ -161,16 +202,20 @@ def collector_of(
     observation: Floats,
     breakdowns: Breakdowns,
     witness: Witness,
+    open_loop: Recording | None = None,
 ) -> SegmentCollector:
     """The collector of a phase that trains or collects; `observation` (E, n) is the body's present one.
 
+    `open_loop`: nobody learns, and this recording, which looks on as or behind `witness`, is all that counts.
     Raises RuntimeError if models of the blocks below are not held.
     """
     stage = staged(term, body, shelf, witness)
-    world = stage.world
+    world, way = stage.world, way_of(term, body, stage, shelf, rng)
+    if open_loop is not None:
+        return OpenLoopCollector(stage, way, open_loop, observation=observation, breakdowns=breakdowns)
     return SegmentCollector(
         stage,
-        way_of(term, body, stage, shelf, rng),
+        way,
         segment_steps=term.level_settings.actors.segment_steps,
         observation=world.resume(observation) if isinstance(world, LevelWorld) else observation,
         breakdowns=breakdowns,

@@ -48,6 +48,9 @@ class EvaluationCollector:
         """True between two walks."""
         return self._walk is None
 
+    def note_progress(self, progress: float) -> None:
+        """See `Collector.note_progress`; walks are the same from the first to the last."""
+
     def advance(self, steps: int) -> list[Finished]:
         """Walk on for up to `steps` steps; the legs of all blocks once all of them are walked."""
         if self._walk is None:

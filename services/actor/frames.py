@@ -13,16 +13,31 @@ Size = tuple[str, int, int, str]
 
 
 def check_frames(settings: RunSettings, body: Body) -> None:
-    """Raise `SettingsError` if a segment of some phase would be larger than a frame may be."""
+    """Raise `SettingsError` if a segment of some phase would be larger than a frame may be.
+
+    That for the recorder is of all blocks.
+    """
     columns = settings.actors.envs_per_actor
     for block in body.layouts:
         for phases, rows, row_bytes, lower in _sizes(settings.of_block(block), body, block):
-            if rows * columns * row_bytes > ROOM_BYTES:
-                raise SettingsError(
-                    f"a segment of {phases} of block {block} would have "
-                    f"{rows * columns * row_bytes / 1e6:,.1f} MB ({rows:,} x {columns:,} worlds x "
-                    f"{row_bytes:,} bytes), and a frame holds {ROOM_BYTES / 1e6:.1f} MB; lower {lower}"
-                )
+            _check(f"a segment of {phases} of block {block}", columns, rows, row_bytes, lower)
+    if settings.recording.every_steps:
+        rows, lower = settings.actors.segment_steps, "actors.envs_per_actor or actors.segment_steps"
+        _check("a segment for the recorder", columns, rows, _row_bytes(body), lower)
+
+
+def _check(what: str, columns: int, rows: int, row_bytes: int, lower: str) -> None:
+    if rows * columns * row_bytes > ROOM_BYTES:
+        raise SettingsError(
+            f"{what} would have {rows * columns * row_bytes / 1e6:,.1f} MB ({rows:,} x {columns:,} worlds x "
+            f"{row_bytes:,} bytes), and a frame holds {ROOM_BYTES / 1e6:.1f} MB; lower {lower}"
+        )
+
+
+def _row_bytes(body: Body) -> int:
+    """Of a recorder's row, at most: all blocks act on a latent, and there is a task."""
+    latents = sum(2 * spec.latent_dim for spec in body.tree.specs.values())
+    return 4 * (len(body.world.state_names) + latents + 2)
 
 
 def _sizes(settings: RunSettings, body: Body, block: str) -> Iterator[Size]:

@@ -1,13 +1,15 @@
 """An actor's streams of segments: numbered, granted, windowed, sent again until acknowledged."""
 
 from dataclasses import dataclass
+from typing import Any
 
 from protocol import keys
 from protocol.codec import encode
-from protocol.messages import Ack, Phase, Segment
+from protocol.messages import ALL_BLOCKS, RECORDER, Ack, Phase, PhaseAnnounced, Segment
 from protocol.refusal import Refused
 from protocol.window import SendWindow
 from services.actor.collect import Finished
+from services.actor.recording import Recording
 from services.runtime.bus import Bus
 from services.runtime.settings import SettingsError
 
@@ -19,6 +21,8 @@ CONSUMER_OF = {
     Phase.EVALUATE: "policy_learner",
 }
 """Who learns from a phase's experience; phases that are not here produce none."""
+UNBOUND = 2**53
+"""A grant of all that the window has room for."""
 
 
 @dataclass
@@ -28,7 +32,7 @@ class _Stream:
 
 
 class Outbox:
-    """The streams of one life, one per consumer and block."""
+    """The streams of one life, one per consumer and block; the recorder has one of all blocks."""
 
     def __init__(
         self, bus: Bus, *, run: str, life: str, fingerprint: str, window: int, resend_secs: float
@@ -43,6 +47,8 @@ class Outbox:
         self.segments = 0
         self.unwanted = 0
         """Finished segments that nobody wanted any more."""
+        self.recorded_rows = 0
+        """Rows sent to the recorder, a row being one environment step of one column."""
 
     def hear(self, ack: Ack) -> None:
         """Take a consumer's word; it frees the window and grants what may follow."""
@@ -55,35 +61,74 @@ class Outbox:
         consumer = CONSUMER_OF.get(phase)
         if consumer is None:
             return None
-        stream = self._stream(consumer, block)
+        return self._granted(self._stream(consumer, block), term)
+
+    def may_record(self, term: int) -> bool:
+        """True if the recorder has granted a chunk of rows in this term and there is room for it."""
+        return self._granted(self._stream(RECORDER, ALL_BLOCKS), term) is not None
+
+    def progress(self, term: int) -> float:
+        """The most that a consumer said it holds of what it wants in this term, from 0 to 1."""
+        acks = (stream.ack for stream in self._streams.values())
+        return max((ack.progress for ack in acks if ack is not None and ack.term == term), default=0.0)
+
+    def send(self, finished: Finished, announced: PhaseAnnounced, now_secs: float) -> None:
+        """Publish a finished segment if it is still wanted."""
+        if self.grant(announced.phase, announced.term, finished.block) is None:
+            self.unwanted += 1
+            return
+        about = {
+            "encoder_version": finished.encoder_version,
+            "policy_version": finished.policy_version,
+            "policy": finished.policy,
+            "steps": finished.steps,
+            "columns": finished.columns,
+            "first_step": finished.first_step,
+            "arrays": finished.arrays,
+        }
+        self._send(CONSUMER_OF[announced.phase], finished.block, announced, about, now_secs)
+        self.segments += 1
+
+    def record(self, recording: Recording, now_secs: float) -> bool:
+        """Publish what is full of a recording, as far as there is room; true once all of it is.
+
+        A grant is needed to begin a chunk, and none to send it: rows that are there are not thrown away.
+        """
+        window = self._stream(RECORDER, ALL_BLOCKS).window
+        while recording.full and window.may_send(UNBOUND):
+            chunk = recording.full.popleft()
+            about = {
+                "steps": chunk.steps,
+                "columns": chunk.columns,
+                "first_step": chunk.first_step,
+                "arrays": chunk.arrays,
+            }
+            self._send(RECORDER, ALL_BLOCKS, chunk.announced, about, now_secs)
+            self.recorded_rows += chunk.steps * chunk.columns
+        return not recording.full
+
+    def _granted(self, stream: _Stream, term: int) -> Ack | None:
         ack = stream.ack
         if ack is None or ack.term != term or not stream.window.may_send(ack.granted):
             return None
         return ack
 
-    def send(self, finished: Finished, phase: Phase, term: int, now_secs: float) -> None:
-        """Publish a finished segment if it is still wanted."""
-        if self.grant(phase, term, finished.block) is None:
-            self.unwanted += 1
-            return
-        consumer = CONSUMER_OF[phase]
-        stream = self._stream(consumer, finished.block)
+    def _send(
+        self, consumer: str, block: str, announced: PhaseAnnounced, about: dict[str, Any], now_secs: float
+    ) -> None:
+        stream = self._stream(consumer, block)
         segment = Segment(
             run=self._run,
-            term=term,
-            block=finished.block,
+            term=announced.term,
+            block=block,
             life=self._life,
             seq=stream.window.next_seq,
             consumer=consumer,
             fingerprint=self._fingerprint,
-            phase=phase,
-            encoder_version=finished.encoder_version,
-            policy_version=finished.policy_version,
-            policy=finished.policy,
-            steps=finished.steps,
-            columns=finished.columns,
-            first_step=finished.first_step,
-            arrays=finished.arrays,
+            phase=announced.phase,
+            level=announced.level,
+            iteration=announced.iteration,
+            **about,
         )
         try:
             frame = encode(segment)
@@ -92,8 +137,7 @@ class Outbox:
                 f"actors.segment_steps and actors.envs_per_actor are too large: {refused}"
             ) from None
         stream.window.sent(segment.seq, frame, now_secs)
-        self.segments += 1
-        self._publish(consumer, finished.block, frame)
+        self._publish(consumer, block, frame)
 
     def resend(self, now_secs: float) -> None:
         """Send again what has waited too long for its acknowledgement."""
@@ -105,6 +149,11 @@ class Outbox:
     def unacknowledged(self) -> int:
         """Segments sent and not yet acknowledged."""
         return sum(stream.window.unacknowledged for stream in self._streams.values())
+
+    @property
+    def unrecorded(self) -> int:
+        """Those of them that were sent to the recorder."""
+        return self._stream(RECORDER, ALL_BLOCKS).window.unacknowledged
 
     @property
     def resent(self) -> int:

@@ -6,16 +6,18 @@ from typing import Any
 import numpy as np
 
 from babble.breakdowns import Breakdowns, UnstableError
+from babble.legs import Witness
 from protocol import keys
 from protocol.gate import Gate
 from protocol.latest import LatestPhase
-from protocol.messages import Ack, Model, ModelFloor, Phase, PhaseAnnounced
+from protocol.messages import RECORDER, Ack, Model, ModelFloor, Phase, PhaseAnnounced
 from services.actor.collect import Collector, Finished, SegmentCollector, collector_of
 from services.actor.config import Body, body_of, first_observation, seeds_of
 from services.actor.evaluation import EvaluationCollector
 from services.actor.frames import check_frames
 from services.actor.models import ModelShelf
 from services.actor.outbox import CONSUMER_OF, Outbox
+from services.actor.recording import Recording, Tee
 from services.actor.stages import Term
 from services.actor.views import Views
 from services.runtime.bus import Frame, Inbox
@@ -33,6 +35,8 @@ QUANTUM_STEPS = 64
 QUANTUM_SECS = 0.1
 """No step is begun so long after the first one: with slow worlds too, acks and heartbeats keep flowing."""
 IDLE_SECS = 0.05
+FLUSH_SECS = 5.0
+"""So long does a run that is done wait for the recorder's word that it has the last rows."""
 
 
 class Actor:
@@ -57,15 +61,11 @@ class Actor:
         fingerprint = _fingerprint(settings, self._body)
         self._observation = first_observation(self._body)
         self._shelf = ModelShelf(self._body.tree)
-        self._outbox = Outbox(
-            context.bus,
-            run=context.run,
-            life=context.life,
-            fingerprint=fingerprint,
-            window=settings.actors.window,
-            resend_secs=settings.actors.resend_secs,
-        )
+        self._outbox = _outbox_of(context, fingerprint)
         self._views = Views(context, world)
+        self._recording = _recording_of(settings)
+        self._witness: Witness = self._views if not self._recording else Tee(self._recording, self._views)
+        self._flush_until_secs: float | None = None
         self._gate = Gate(context.run, {"phase", "ack", "model"}, fingerprint=fingerprint)
         self._latest = LatestPhase()
         self._announced: PhaseAnnounced | None = None
@@ -91,7 +91,7 @@ class Actor:
         """Hear, act a little if something is wanted, send; None once the run is done or stopped."""
         self._hear()
         over = self._announced is not None and self._announced.phase is Phase.DONE
-        if over or self._stopping:
+        if (over or self._stopping) and self._flushed(now_secs):
             self._heart.poll(now_secs, self._report, urgent=True)
             return None
         self._views.turn(now_secs, self._env_steps)
@@ -126,6 +126,8 @@ class Actor:
         evaluating = announced.phase is Phase.EVALUATE
         world = (self._fresh_body if evaluating else self._body).world
         self._views.enter(announced.term, world, announced.frozen)
+        if self._recording is not None:
+            self._recording.enter(announced, world)
         self._urgent = True
 
     def _new_collector(self, announced: PhaseAnnounced) -> Collector:
@@ -138,7 +140,7 @@ class Actor:
                 self._shelf,
                 self._evaluation_rng,
                 breakdowns=self._breakdowns,
-                witness=self._views,
+                witness=self._witness,
             )
         return collector_of(
             term,
@@ -147,7 +149,8 @@ class Actor:
             self._rng,
             observation=self._observation,
             breakdowns=self._breakdowns,
-            witness=self._views,
+            witness=self._witness,
+            open_loop=self._recording if self._context.settings.phases.open_loop else None,
         )
 
     @property
@@ -158,24 +161,44 @@ class Actor:
     def _act(self, now_secs: float) -> bool:
         """Work on the current segment; False if nothing is wanted or the models are not here yet."""
         collector, announced = self._collector, self._announced
-        if announced is None or announced.phase not in CONSUMER_OF:
+        if announced is None or not self._rows_are_sent(now_secs) or announced.phase not in CONSUMER_OF:
             return False
         if (collector is None or collector.at_border()) and not self._may_begin(announced):
             return False
         if collector is None:
             collector = self._collector = self._new_collector(announced)
         self._choose_mode(announced, collector)
+        collector.note_progress(self._outbox.progress(announced.term))
         clock = self._context.clock
         began_secs = clock.now_secs()
         for _ in range(QUANTUM_STEPS):
             for finished in _stepped(collector):
-                self._outbox.send(finished, announced.phase, announced.term, now_secs)
+                self._outbox.send(finished, announced, now_secs)
+            sent = self._rows_are_sent(now_secs)
             turned_secs = clock.now_secs()
             if turned_secs >= self._views.quiet_secs:
                 self._views.turn(turned_secs, self._env_steps)
-            if collector.at_border() or turned_secs - began_secs >= QUANTUM_SECS:
+            if not sent or collector.at_border() or turned_secs - began_secs >= QUANTUM_SECS:
                 break
         return True
+
+    def _rows_are_sent(self, now_secs: float) -> bool:
+        """False while the recorder has no room for what is full: no further step is made before it has."""
+        return self._recording is None or self._outbox.record(self._recording, now_secs)
+
+    def _flushed(self, now_secs: float) -> bool:
+        """At the end of a life: send the rows that are open; true once the recorder has them, or time is up.
+
+        One that is told to stop sends what it can and goes, for the recorder may be gone too.
+        """
+        if self._recording is None:
+            return True
+        self._recording.close()
+        sent = self._rows_are_sent(now_secs)
+        if self._flush_until_secs is None:
+            self._flush_until_secs = now_secs + FLUSH_SECS
+        safe = sent and not self._outbox.unrecorded
+        return safe or self._stopping or now_secs >= self._flush_until_secs
 
     def _may_begin(self, announced: PhaseAnnounced) -> bool:
         """True if some block's next segment is granted and the models of all that act are recent enough.
@@ -198,8 +221,12 @@ class Actor:
                     f"it has {held.encoder_version} and {held.policy_version}"
                 )
                 return False
-        self._waiting_for = "" if grants else f"a grant of {CONSUMER_OF[announced.phase]}"
-        return bool(grants)
+        if self._recording is not None and not self._outbox.may_record(announced.term):
+            self._waiting_for = f"a grant of {RECORDER}"
+            return False
+        granted = bool(grants) or self._context.settings.phases.open_loop
+        self._waiting_for = "" if granted else f"a grant of {CONSUMER_OF[announced.phase]}"
+        return granted
 
     def _grants(self, announced: PhaseAnnounced) -> dict[str, Ack]:
         acks = {
@@ -231,14 +258,23 @@ class Actor:
                 "dropped_segments": self._breakdowns.segments,
                 "ignored_acks": self._outbox.ignored_acks,
                 "inbox_dropped": self._inbox.dropped,
+                "recorded_rows": self._outbox.recorded_rows,
+                "dropped_rows": 0 if self._recording is None else self._recording.dropped_rows,
                 "views": views.sent,
                 "unshown": views.unshown,
             },
             "queue_depth": self._outbox.unacknowledged,
             "refused": dict(self._gate.refused),
-            "waiting_for": self._waiting_for if announced is not None else "a coordinator's announcement",
+            "waiting_for": self._waits,
             "last_error": self._last_error,
         }
+
+    @property
+    def _waits(self) -> str:
+        if self._announced is None:
+            return "a coordinator's announcement"
+        unsent = self._recording is not None and self._recording.full
+        return f"a grant of {RECORDER}" if unsent else self._waiting_for
 
     @property
     def _last_error(self) -> str:
@@ -254,6 +290,29 @@ def _fingerprint(settings: RunSettings, body: Body) -> str:
         blocks=body.tree.specs.values(),
     )
     return interface.fingerprint()
+
+
+def _outbox_of(context: Context, fingerprint: str) -> Outbox:
+    actors = context.settings.actors
+    return Outbox(
+        context.bus,
+        run=context.run,
+        life=context.life,
+        fingerprint=fingerprint,
+        window=actors.window,
+        resend_secs=actors.resend_secs,
+    )
+
+
+def _recording_of(settings: RunSettings) -> Recording | None:
+    """None for a run that does not record."""
+    if not settings.recording.every_steps:
+        return None
+    return Recording(
+        every_steps=settings.recording.every_steps,
+        chunk_steps=settings.actors.segment_steps,
+        columns=settings.actors.envs_per_actor,
+    )
 
 
 def _stepped(collector: Collector) -> list[Finished]:

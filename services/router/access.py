@@ -83,11 +83,11 @@ RIGHTS: dict[str, Rights] = {
         asks=("command/*",),
     ),
     "recorder": Rights(
-        hears=("segment/*/*/*", "status/*/*"),
-        hears_newest=("phase", "settings"),
-        says=(f"status/recorder/{OWN}",),
+        hears=("segment/recorder/*/*",),
+        hears_newest=("phase",),
+        says=("ack/*/recorder", f"status/recorder/{OWN}"),
         announces=(f"alive/recorder/{OWN}",),
-        watches=("alive/*/*",),
+        watches=("alive/actor/*",),
     ),
 }
 """Rights by role. A right over `OWN` lives holds for the lives of that identity and for no other."""

@@ -1,6 +1,6 @@
-"""A learner's side of the experience: each segment is taken once, kept safely, then acknowledged.
+"""A consumer's side of the experience: each segment is taken once, kept safely, then acknowledged.
 
-Order matters: judge (ledger), keep (spool, synced), use, acknowledge. A learner killed at any
+Order matters: judge (ledger), keep (spool, synced), use, acknowledge. A consumer killed at any
 point finds in its spool whatever it had acknowledged since its checkpoint.
 """
 
@@ -120,8 +120,12 @@ class Intake:
         policy_floor: int,
         want: Want,
         now_secs: float,
+        progress: float = 0.0,
     ) -> None:
-        """Tell every actor that is there what is held of it and what it may send of this block."""
+        """Tell every actor that is there what is held of it and what it may send of this block.
+
+        `progress`: the share of what is wanted in this term that is held, of all actors; 0 if not known.
+        """
         for life, granted in allotment.grant(now_secs).items():
             ack = Ack(
                 run=self._run,
@@ -135,6 +139,7 @@ class Intake:
                 granted=granted,
                 policy_floor=policy_floor,
                 want=want,
+                progress=progress,
             )
             said_secs, said = self._said.get((life, block), (0.0, None))
             if said == ack and now_secs - said_secs < ACK_REPEAT_SECS:

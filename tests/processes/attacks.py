@@ -23,16 +23,18 @@ HONEST = {
     "model": ("encoder_learner", "model/encoder/body"),
     "ack": ("encoder_learner", f"ack/{OTHER_LIFE}/encoder_learner"),
     "segment": ("actor.other", f"segment/encoder_learner/body/{OTHER_LIFE}"),
+    "rows": ("actor.other", f"segment/recorder/all/{OTHER_LIFE}"),
     "status": ("actor.other", f"status/actor/{OTHER_LIFE}"),
     "view": ("actor.other", f"view/posture/{OTHER_LIFE}"),
 }
-"""By kind, who rightly says what, below babble/<run>/."""
+"""By kind, and for the segments of the recorder, who rightly says what, below babble/<run>/."""
 WITNESSES = {
     "phase": ("actor.other", "phase"),
     "settings": ("actor.other", "settings"),
     "model": ("actor.other", "model/*/*"),
     "ack": ("actor.other", f"ack/{OTHER_LIFE}/*"),
     "segment": ("encoder_learner", "segment/encoder_learner/*/*"),
+    "rows": ("recorder", "segment/recorder/*/*"),
     "status": ("coordinator", "status/*/*"),
     "view": ("dashboard", "view/*/*"),
 }
@@ -89,13 +91,13 @@ class Hall:
     def say(self, kind: str, run: str, word: bytes) -> None:
         """An honest message of a kind."""
         who, key = HONEST[kind]
-        self.buses[who].publish(kind, below(run, key), word)
+        self.buses[who].publish(key.split("/")[0], below(run, key), word)
 
     def hear(self, kind: str, run: str) -> Inbox:
         """What the rightful witness of a kind hears from now on."""
         inbox = Inbox()
         who, key_expr = WITNESSES[kind]
-        self.buses[who].subscribe(kind, below(run, key_expr), inbox)
+        self.buses[who].subscribe(key_expr.split("/")[0], below(run, key_expr), inbox)
         return inbox
 
     def _speak(self, act: Act, run: str) -> list[str]:

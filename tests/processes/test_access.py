@@ -14,7 +14,7 @@ from tests.processes.owned import Owner
 
 pytestmark = pytest.mark.processes
 
-HONEST = ("coordinator", "encoder_learner", "dashboard", "launcher", "actor.other")
+HONEST = ("coordinator", "encoder_learner", "dashboard", "launcher", "recorder", "actor.other")
 LAB_LIFE = "actor-lab-00000009"
 """Of the attacker, where it has the credential of the actors of the host "lab"."""
 
@@ -101,6 +101,10 @@ DENIED = [
     Act("recorder", "says", f"segment/encoder_learner/body/{OTHER_LIFE}"),
     Act("recorder", "says", f"status/actor/{OTHER_LIFE}"),
     Act("recorder", "asks", COMMAND),
+    Act("recorder", "hears", "segment/*/*/*"),
+    Act("recorder", "hears", "status/*/*"),
+    Act("recorder", "hears", "model/*/*"),
+    Act("recorder", "watches", "alive/*/*"),
 ]
 """Who may not do what at which key, though it has a certificate."""
 
@@ -134,8 +138,10 @@ ALLOWED = [
     Act("launcher", "hears", "phase"),
     Act("launcher", "watches", "alive/*/*"),
     Act("launcher", "asks", COMMAND),
-    Act("recorder", "hears", "segment/*/*/*"),
-    Act("recorder", "hears", "settings"),
+    Act("recorder", "hears", "segment/recorder/*/*"),
+    Act("recorder", "hears", "phase"),
+    Act("recorder", "says", f"ack/{OTHER_LIFE}/recorder"),
+    Act("recorder", "watches", "alive/actor/*"),
     Act("recorder", "announces", "alive/recorder/recorder-00000009"),
 ]
 """Who may do what, and is noticed when it does."""

@@ -7,8 +7,18 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from protocol.contents import MODEL_ARRAYS, SEGMENT_ARRAYS, VIEW_ARRAYS, Rules
+from protocol.contents import (
+    MODEL_ARRAYS,
+    RECORDED_ARRAYS,
+    RECORDED_OF_BLOCK,
+    SEGMENT_ARRAYS,
+    VIEW_ARRAYS,
+    ArrayRule,
+    Rules,
+)
 from protocol.messages import (
+    ALL_BLOCKS,
+    RECORDER,
     Ack,
     Command,
     Frozen,
@@ -57,13 +67,26 @@ def arrays_for(draw: st.DrawFn, rules: Rules, sizes: dict[str, int]) -> dict[str
 
 
 @st.composite
+def recorded_rules(draw: st.DrawFn) -> Rules:
+    """What the recorder is sent, of some blocks."""
+    blocks = draw(st.lists(names, max_size=3, unique=True))
+    return RECORDED_ARRAYS | {
+        f"{what}/{block}": ArrayRule("<f4", ("T", "E", f"d of {block}"))
+        for block in blocks
+        for what in RECORDED_OF_BLOCK
+    }
+
+
+@st.composite
 def segments(draw: st.DrawFn, **fixed: Any) -> Segment:
-    """Segments of every phase that has any."""
+    """Segments of every phase that has any, for learners and for the recorder."""
     fields = {
         **header,
-        "consumer": names,
+        "consumer": names | st.just(RECORDER),
         "fingerprint": fingerprints,
         "phase": st.sampled_from(sorted(SEGMENT_ARRAYS)).map(Phase),
+        "level": counts,
+        "iteration": counts,
         "encoder_version": counts,
         "policy_version": counts,
         "policy": policies,
@@ -73,6 +96,9 @@ def segments(draw: st.DrawFn, **fixed: Any) -> Segment:
     }
     drawn = {name: fixed[name] if name in fixed else draw(field) for name, field in fields.items()}
     sizes = {"T": drawn["steps"], "E": drawn["columns"]}
+    if drawn["consumer"] == RECORDER:
+        rules = draw(recorded_rules())
+        return Segment(**drawn | {"block": ALL_BLOCKS}, arrays=draw(arrays_for(rules, sizes)))
     arrays = arrays_for(SEGMENT_ARRAYS[drawn["phase"]], sizes)
     if drawn["phase"] in (Phase.BABBLE, Phase.WALK):
         arrays = arrays.filter(lambda made: {"observation", "image"} & made.keys())
@@ -80,7 +106,15 @@ def segments(draw: st.DrawFn, **fixed: Any) -> Segment:
 
 
 acks = st.builds(
-    Ack, **header, to=names, consumer=names, upto=counts, granted=counts, policy_floor=counts, want=policies
+    Ack,
+    **header,
+    to=names,
+    consumer=names,
+    upto=counts,
+    granted=counts,
+    policy_floor=counts,
+    want=policies,
+    progress=st.floats(0, 1),
 )
 models = st.builds(
     Model,

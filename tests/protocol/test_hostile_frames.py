@@ -10,10 +10,11 @@ import pytest
 from protocol import PROTOCOL
 from protocol.codec import MAX_NODES, Reason, Refused, decode, encode
 from protocol.keys import MAX_FRAME_BYTES
+from protocol.messages import Phase
 from tests.protocol.golden.make import GOLDEN, path
 
 MEBIBYTE = 1 << 20
-HEAD = b"\x84\xa1p\x02\xa1k\xa7segment"
+HEAD = b"\x84\xa1p\x03\xa1k\xa7segment"
 
 
 def refusal(frame: bytes) -> Refused:
@@ -145,7 +146,7 @@ def test_an_envelope_has_exactly_its_entries(envelope):
     assert refusal(msgpack.packb(envelope)).reason is Reason.MALFORMED
 
 
-@pytest.mark.parametrize("number", [True, 2.0, "2", b"\x02", None, 0, 1, 3, -1, 2**64 - 1, [1]])
+@pytest.mark.parametrize("number", [True, 3.0, "3", b"\x03", None, 0, 1, 2, 4, -1, 2**64 - 1, [1]])
 def test_only_the_number_itself_is_the_protocol(number):
     refused = refusal(msgpack.packb({"p": number, "k": "ack", "h": {}}))
     assert refused.reason is Reason.WRONG_PROTOCOL
@@ -204,15 +205,15 @@ def test_an_array_is_what_it_says_and_what_its_message_needs(packed):
     assert "episode" in str(refused)
 
 
-@pytest.mark.parametrize("name", ["", "a" * 65, "surprise", b"raw"])
+@pytest.mark.parametrize("name", ["", "a" * 81, "surprise", "latent/body", b"raw"])
 def test_an_array_that_does_not_belong_is_refused(name):
     assert refusal(with_array(["<i4", [2, 3], GOOD], name=name)).reason is Reason.BAD_ARRAY
 
 
 def test_more_arrays_than_any_message_has_are_refused():
     envelope = msgpack.unpackb(path("segment-babble").read_bytes())
-    envelope["a"] = {f"{i}": ["<i4", [2, 3], GOOD] for i in range(65)}
-    assert "at most 64" in str(refusal(msgpack.packb(envelope)))
+    envelope["a"] = {f"{i}": ["<i4", [2, 3], GOOD] for i in range(241)}
+    assert "at most 240" in str(refusal(msgpack.packb(envelope)))
 
 
 @pytest.mark.parametrize(
@@ -243,6 +244,47 @@ def test_a_size_is_the_same_in_all_arrays_of_a_message():
     wrong = {**segment.arrays, "goal": np.zeros((2, 3, 4), "<f4")}
     with pytest.raises(Refused, match=r"'goal' must be <f4 of shape \(T, E, d\) with T=2, E=3, d=2"):
         encode(segment.model_copy(update={"arrays": wrong}))
+
+
+@pytest.mark.parametrize(
+    ("arrays", "sentence"),
+    [
+        ({"state": None}, r"a recorder's segment of practise has .* but lacks \['state'\]"),
+        ({"goal/hand": None}, r"has .* but lacks \['goal/hand'\]"),
+        ({"latent/thumb": None}, r"has .* but lacks \['latent/thumb'\]"),
+        ({"goal/hand": np.zeros((2, 3, 2), "<f4")}, r"'goal/hand' must .* with T=2, E=3, d of hand=5"),
+        ({"latent/hand": np.zeros((2, 3, 5), "<f8")}, r"'latent/hand' must be <f4"),
+        ({"state": np.zeros((2, 4, 4), "<f4")}, r"'state' must be <f4 of shape \(T, E, s\)"),
+        ({"observation": np.zeros((2, 3, 4), "<f4")}, "may have .* but not 'observation'"),
+        ({"action/hand": np.zeros((2, 3, 4), "<f4")}, "may have .* but not 'action/hand'"),
+        ({"latent/../x": np.zeros((2, 3, 4), "<f4")}, "may have .* but not 'latent/../x'"),
+        ({"latent/hand\n": np.zeros((2, 3, 5), "<f4")}, "may have .* but not"),
+        ({"latent/": np.zeros((2, 3, 4), "<f4")}, "may have .* but not 'latent/'"),
+    ],
+)
+def test_the_recorder_is_sent_each_block_whole_and_nothing_else(arrays, sentence):
+    segment = GOLDEN["segment-recorder"]
+    wrong = {name: array for name, array in {**segment.arrays, **arrays}.items() if array is not None}
+    with pytest.raises(Refused, match=sentence) as caught:
+        encode(segment.model_copy(update={"arrays": wrong}))
+    assert caught.value.reason is Reason.BAD_ARRAY
+
+
+def test_the_recorder_is_sent_the_whole_body_in_a_phase_in_which_it_acts():
+    segment = GOLDEN["segment-recorder"]
+    with pytest.raises(Refused, match="the recorder is sent 'all', not 'body'") as caught:
+        encode(segment.model_copy(update={"block": "body"}))
+    assert caught.value.reason is Reason.BAD_HEADER
+    with pytest.raises(Refused, match="nobody sends experience in encode"):
+        encode(segment.model_copy(update={"phase": Phase.ENCODE}))
+
+
+def test_a_hundred_blocks_with_the_longest_names_can_be_recorded():
+    segment = GOLDEN["segment-recorder"]
+    names = [f"{what}/{f'{i:03d}' + 'x' * 61}" for i in range(100) for what in ("latent", "goal")]
+    arrays = {"state": segment.arrays["state"], "episode": segment.arrays["episode"]}
+    full = segment.model_copy(update={"arrays": arrays | dict.fromkeys(names, np.ones((2, 3, 5), "<f4"))})
+    assert decode(encode(full)) == full
 
 
 @pytest.mark.parametrize(

@@ -87,7 +87,7 @@ CASES: list[tuple[Reason, Callable[[Gate], None], list[str]]] = [
         [str(MAX_FRAME_BYTES + 1), str(MAX_FRAME_BYTES)],
     ),
     (Reason.MALFORMED, lambda door: door.admit("k", b"\xc1") and None, ["not a MessagePack frame"]),
-    (Reason.WRONG_PROTOCOL, lambda door: altered(door, p=1), ["speaks protocol 1", "speaks 2"]),
+    (Reason.WRONG_PROTOCOL, lambda door: altered(door, p=1), ["speaks protocol 1", "speaks 3"]),
     (Reason.UNKNOWN_KIND, lambda door: altered(door, k="nack"), ["'nack'", "'ack'"]),
     (Reason.BAD_HEADER, lambda door: altered(door, h={"run": 7}), ["ack header: run", "7"]),
     (

@@ -9,7 +9,14 @@ from pydantic_core import PydanticUndefined
 
 import protocol
 from protocol import arrays, codec, keys, messages
-from protocol.contents import MODEL_ARRAYS, SEGMENT_ARRAYS, VIEW_ARRAYS, Rules
+from protocol.contents import (
+    MODEL_ARRAYS,
+    RECORDED_ARRAYS,
+    RECORDED_OF_BLOCK,
+    SEGMENT_ARRAYS,
+    VIEW_ARRAYS,
+    Rules,
+)
 from protocol.keys import DELIVERY
 from protocol.messages import MESSAGES, Frozen, Header, ModelFloor, Phase, Progress, Score
 from protocol.refusal import Reason
@@ -119,6 +126,9 @@ def test_every_array_is_there_and_no_other():
     ]
     expected = [[str(phase), *row] for phase, rules in SEGMENT_ARRAYS.items() for row in array_rows(rules)]
     assert sorted(segment_rows) == sorted(expected)
+    recorded = [row[:4] for row in rows(section("segment"), "recorded")]
+    of_block = [[f"`{what}/<block>`", "`<f4`", "(T, E, d)", "optional"] for what in RECORDED_OF_BLOCK]
+    assert recorded == array_rows(RECORDED_ARRAYS) + of_block
     view_rows = [row[:5] for row in rows(section("view"), "view")]
     assert view_rows == [[what, *row] for what, rules in VIEW_ARRAYS.items() for row in array_rows(rules)]
     assert [row[:4] for row in rows(section("model"), "array")] == array_rows(MODEL_ARRAYS)
@@ -140,7 +150,9 @@ def test_limits_and_lists_are_those_of_the_code():
     assert f"at most {messages.MAX_ENTRIES} entries" in flat
     assert f"at most {codec.MAX_NODES:,} values" in flat
     assert f"at most {arrays.MAX_DIMENSIONS} sizes" in flat
-    assert f"at most {arrays.MAX_ARRAYS} arrays" in flat
+    assert (
+        f"at most {arrays.MAX_ARRAYS} arrays, each of a name of at most {arrays.MAX_NAME_CHARS} char" in flat
+    )
     assert f"text of at most {messages.MAX_REPLY_CHARS:,} characters" in flat
     assert f"text of at most {messages.MAX_CONFIG_CHARS:,} characters" in flat
     assert codec.MAX_TEXT_BYTES == 1 << 20

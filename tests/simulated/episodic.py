@@ -24,6 +24,7 @@ class EpisodicWorld:
     diameter = 2.0
     crossing_axis = None
     posture_names: tuple[str, ...] = ()
+    state_names = ("position/x", "age/steps")
     rewarded = True
     senses: Mapping[str, tuple[int, ...]] = {"place": (1,), "age": (1,)}
     landmarks = (Landmark("left", ((0,),), -1.0, -0.8), Landmark("right", ((0,),), 0.8, 1.0))
@@ -70,6 +71,10 @@ class EpisodicWorld:
 
     def posture(self) -> Floats:
         return self._place[:, None].astype(np.float32)
+
+    def state(self) -> Floats:
+        """The place, and the age in steps."""
+        return np.stack([self._place, self._age], axis=1).astype(np.float32)
 
     def _observation(self) -> Floats:
         return np.stack([self._place, self._age / 100], axis=1).astype(np.float32)

@@ -5,7 +5,7 @@ import pytest
 
 from protocol import keys
 from protocol.codec import decode
-from protocol.messages import Ack, Phase, Segment
+from protocol.messages import Ack, Phase, PhaseAnnounced, Segment
 from services.actor.collect import Finished
 from services.actor.outbox import Outbox
 from services.runtime.bus import Frame, Inbox
@@ -52,7 +52,18 @@ class Stage:
             "episode": np.zeros((3, columns), np.int32),
         }
         finished = Finished("body", arrays, "random", 0, 0, steps=3, columns=columns, first_step=0)
-        self.outbox.send(finished, Phase.BABBLE, 1, now_secs)
+        announced = PhaseAnnounced(
+            run="r",
+            term=1,
+            block="all",
+            life="coordinator-1",
+            seq=0,
+            phase=Phase.BABBLE,
+            level=1,
+            iteration=2,
+            blocks={},
+        )
+        self.outbox.send(finished, announced, now_secs)
 
     def heard_seqs(self) -> list[int]:
         messages = [decode(frame.data) for frame in self.heard.take_all() if isinstance(frame, Frame)]
@@ -67,6 +78,17 @@ def test_nothing_is_sent_without_a_grant_and_no_more_than_granted() -> None:
     stage.send()
     assert stage.heard_seqs() == [0]
     assert stage.outbox.unwanted == 2
+
+
+def test_a_segment_says_of_which_level_and_iteration_it_is() -> None:
+    stage = Stage()
+    stage.ack(granted=1)
+    stage.send()
+    (frame,) = stage.heard.take_all()
+    assert isinstance(frame, Frame)
+    segment = decode(frame.data)
+    assert isinstance(segment, Segment)
+    assert (segment.term, segment.level, segment.iteration) == (1, 1, 2)
 
 
 def test_a_grant_of_another_term_does_not_count() -> None:

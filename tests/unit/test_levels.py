@@ -114,6 +114,16 @@ def test_no_observation_is_encoded_twice() -> None:
     assert models["x"].encoder.asked == 1 + 30  # type: ignore[attr-defined]
 
 
+def test_the_state_of_a_level_is_that_of_its_body() -> None:
+    body = box()
+    stage = stage_of(body, TWO_LEVELS, 1, leaves(), decision_steps=(1, 10))
+    stage.world.reset()
+    stage.world.step(up())
+    np.testing.assert_array_equal(stage.world.state(), body.state())
+    assert np.abs(body.state()).min() > 0
+    assert stage.world.state_names == ("position/x", "position/y", "position/z")
+
+
 def test_what_is_not_below_the_blocks_at_work_stays_idle() -> None:
     tree = BlockTree([*LEAVES, BlockSpec("plane", 2, children=("x", "y"))], 3, 3)
     stage = stage_of(box(), tree, 1, leaves(), decision_steps=(1, 10))

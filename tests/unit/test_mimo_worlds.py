@@ -111,7 +111,9 @@ def test_the_rollover_body_has_the_published_sizes() -> None:
     world = world_of("MimoRollover")
     assert (world.action_size, world.observation_size, world.posture_size) == (46, 98, 49)
     assert world.step_secs == pytest.approx(0.01)
-    world.reset()
+    assert len(world.state_names) == 98, "49 positions and 49 velocities (thesis 4.5)"
+    assert world.state_names[49:] == tuple(f"velocity/{joint}" for joint in world.posture_names)
+    assert world.reset().shape == world.state().shape
     steps = [world.step(np.zeros((1, 46), np.float32)) for _ in range(500)]
     assert [step.truncated[0] for step in steps].count(True) == 1
     assert steps[-1].truncated[0]

@@ -66,6 +66,23 @@ def test_positions_and_postures_are_shares_of_the_range() -> None:
     assert world.diameter == pytest.approx(2 * np.sqrt(2))
 
 
+def test_the_state_is_each_copys_joints_as_they_are() -> None:
+    world = world_of(columns=2)
+    assert world.state_names == tuple(
+        f"{what}/{joint}" for what in ("position", "velocity") for joint in world.posture_names
+    )
+    world.reset()
+    for column, data in enumerate(world.copies):
+        data.qpos[:] = [10 + column, 20 + column]
+        data.qvel[:] = [30 + column, 40 + column]
+    state = world.state()
+    assert_allclose(state, [[10, 20, 30, 40], [11, 21, 31, 41]])
+    assert state.dtype == np.float32
+    world.reset()
+    assert_allclose(world.state()[:, 2:], 0)
+    assert_allclose(state[0], [10, 20, 30, 40], err_msg="what was taken stays as it was")
+
+
 def test_random_starts_fill_the_ranges_and_the_usual_start_is_the_models_own_pose() -> None:
     world = world_of(columns=400)
     assert_allclose(world.reset(), np.tile([0.2, 1.0], (400, 1)), atol=1e-6)

@@ -69,6 +69,9 @@ class MujocoWorld:
         self.rng = rng
         self.landmarks = blueprint.landmarks
         self.posture_names = blueprint.joint_names
+        self.state_names = tuple(
+            f"{what}/{j}" for what in ("position", "velocity") for j in self.posture_names
+        )
         self.rewarded = blueprint.task.rewarded
         self._model = blueprint.model
         # A broken simulation is to be seen, not to be set back behind our back.
@@ -84,6 +87,9 @@ class MujocoWorld:
         self.observation_size = Layout(self.senses).size
         self._degraded = _degraded(blueprint, self.senses, columns, rng)
         self._qpos = self._model.jnt_qposadr[blueprint.joints]
+        # MuJoCo's own memory, which stays where it is as long as the copies are there.
+        self._moving = [data.qpos for data in self.copies] + [data.qvel for data in self.copies]
+        self._state = _state_indices(self._model, blueprint.joints, columns)
         self._centre, self._half = centre_and_half_range(self._model, blueprint.joints)
         self._now = self._earliest = 0
         """steps of the world, and that at which its longest episode began"""
@@ -160,6 +166,10 @@ class MujocoWorld:
         position = np.array([data.qpos for data in self.copies])[:, self._qpos]
         return np.clip((position - self._centre) / self._half, -1, 1).astype(np.float32)
 
+    def state(self) -> Floats:
+        """(E, 2 x joints) of the posture's joints: positions in rad or m, then velocities in rad/s or m/s."""
+        return np.concatenate(self._moving).take(self._state).astype(np.float32)
+
     def _begin(self, columns: Flags, start: Start) -> Floats:
         for index in np.flatnonzero(columns).tolist():
             self._begin_copy(self.copies[index], start)
@@ -201,6 +211,14 @@ class MujocoWorld:
         """(E,) whose velocities are not finite or out of bounds; None if all are well."""
         broken = [is_broken(data) for data in self.copies]
         return np.array(broken) if any(broken) else None
+
+
+def _state_indices(model: mujoco.MjModel, joints: Indices, columns: int) -> Indices:
+    """(E, 2 x joints) where each number of a state lies in all qpos of the copies, then all qvel."""
+    copy = np.arange(columns)[:, None]
+    positions = copy * model.nq + model.jnt_qposadr[joints]
+    velocities = columns * model.nq + copy * model.nv + model.jnt_dofadr[joints]
+    return np.concatenate([positions, velocities], axis=1)
 
 
 def _moves(model: mujoco.MjModel, actuators: Indices, joints: Indices) -> tuple[tuple[int, ...], ...]:

@@ -43,10 +43,10 @@ def header(block: str = "body", life: str = "actor-7f3a") -> dict[str, object]:
     return {"run": "cuboid-1", "term": 3, "block": block, "life": life, "seq": 12}
 
 
-def segment(phase: Phase, arrays: dict[str, np.ndarray], **fields: object) -> Segment:
+def segment(phase: Phase, arrays: dict[str, np.ndarray], *, block: str = "body", **fields: object) -> Segment:
     """A segment of 2 steps and 3 columns."""
     return Segment(
-        **header(),
+        **header(block),
         fingerprint="0123456789abcdef",
         phase=phase,
         steps=2,
@@ -126,6 +126,28 @@ GOLDEN: dict[str, Message] = {
         consumer="policy_learner",
         policy="sampled",
     ),
+    "segment-recorder": segment(
+        Phase.PRACTISE,
+        {
+            "state": ramp((2, 3, 4), "<f4"),
+            "episode": ramp((2, 3), "<i4"),
+            "external_reward": -ramp((2, 3), "<f4"),
+            "latent/thumb": ramp((2, 3, 2), "<f4"),
+            "goal/thumb": ramp((2, 3, 2), "<f4"),
+            "latent/hand": ramp((2, 3, 5), "<f4"),
+            "goal/hand": ramp((2, 3, 5), "<f4"),
+        },
+        block="all",
+        consumer="recorder",
+        level=1,
+        iteration=2,
+    ),
+    "segment-recorder-babble": segment(
+        Phase.BABBLE,
+        {"state": ramp((2, 3, 4), "<f4"), "episode": ramp((2, 3), "<i4")},
+        block="all",
+        consumer="recorder",
+    ),
     "ack": Ack(
         **header(life="policy-0c11"),
         to="actor-7f3a",
@@ -134,6 +156,14 @@ GOLDEN: dict[str, Message] = {
         granted=16,
         policy_floor=8,
         want="sampled",
+    ),
+    "ack-recorder": Ack(
+        **header(block="all", life="recorder-3e1d"),
+        to="actor-7f3a",
+        consumer="recorder",
+        upto=12,
+        granted=2**53,
+        progress=0.25,
     ),
     "model": Model(
         **header(life="encoder-55aa"),
