@@ -19,6 +19,8 @@ def plan_of(settings: RunSettings) -> Plan:
         levels=levels,
         iterations=tuple(settings.of_level(level).phases.iterations for level in range(len(levels))),
         stall_secs=settings.wire.stall_secs,
+        open_loop=settings.phases.open_loop,
+        records=settings.recording.every_steps > 0,
         processes={learner: getattr(settings.learners, kind) for learner, kind in KINDS.items()},
         shares={
             (learner, block.name): settings.learner_of(block.name, kind)

@@ -129,7 +129,8 @@ def _read(path: Path, lines: list[bytes], run: str, plan: Plan) -> Iterable[Even
 
 def _header(run: str, plan: Plan) -> dict[str, Any]:
     levels = [list(level) for level in plan.levels]
-    return {"journal": FORMAT, "run": run, "levels": levels, "iterations": list(plan.iterations)}
+    header = {"journal": FORMAT, "run": run, "levels": levels, "iterations": list(plan.iterations)}
+    return header | ({"open_loop": True} if plan.open_loop else {})
 
 
 def _check_header(path: Path, line: bytes, run: str, plan: Plan) -> None:
@@ -137,7 +138,9 @@ def _check_header(path: Path, line: bytes, run: str, plan: Plan) -> None:
         found = json.loads(line)
     except (ValueError, RecursionError):
         found = None
-    wanted = _header(run, plan)
+    wanted = {"open_loop": False, **_header(run, plan)}
+    if isinstance(found, dict) and found:
+        found.setdefault("open_loop", False)  # said only where it is true, and of old not at all
     if not isinstance(found, dict) or set(found) != set(wanted):
         raise _damaged(path, 1, "not a journal's header")
     if isinstance(found["iterations"], int):  # as it was written while all levels had the same number

@@ -9,8 +9,8 @@ from dataclasses import replace
 from typing import assert_never
 
 from services.coordinator.best import best, reason
-from services.coordinator.state import Member, OwnLink, Plan, State, blocks_at_work, iterations_now
-from services.coordinator.table import DUTY, NEXT, Learner, Phase
+from services.coordinator.state import Member, OwnLink, Plan, State, blocks_at_work, duty_now, iterations_now
+from services.coordinator.table import NEXT, Learner, Phase
 from services.coordinator.waiting import stalled
 from services.coordinator.words import (
     Announce,
@@ -139,7 +139,7 @@ def _status_reported(plan: Plan, state: State, event: StatusReported) -> Decisio
     if not state.working or event.term != state.term:
         return state, []
     heard, orders = replace(state, versions=_newest_versions(plan, state, event)), list[Order]()
-    responsible = event.service == DUTY[state.phase].learner
+    responsible = event.service == duty_now(plan, state).worker
     if responsible:
         heard = _hear_progress(plan, heard, event)
         heard, orders = _hear_scores(plan, heard, event)
@@ -179,9 +179,9 @@ def _hear_progress(plan: Plan, state: State, event: StatusReported) -> State:
 
 def _hear_waiting(state: State, event: StatusReported) -> State:
     """Waiting, or no more: that is no progress."""
-    others = {life: text for life, text in state.learners_wait_for.items() if life != event.life}
+    others = {life: text for life, text in state.workers_wait_for.items() if life != event.life}
     said = {event.life: event.waiting_for} if event.waiting_for else {}
-    return replace(state, learners_wait_for={**others, **said})
+    return replace(state, workers_wait_for={**others, **said})
 
 
 def _extent(said: BlockProgress) -> tuple[int, int, str, bool]:
@@ -221,7 +221,7 @@ def _advance(plan: Plan, state: State) -> Decision:
         evaluates=state.phase if phase is Phase.EVALUATE else None,
         progress={},
         finished=frozenset(),
-        learners_wait_for={},
+        workers_wait_for={},
     )
     state = replace(state, floors={block: _floor(state, block) for block in blocks_at_work(plan, state)})
     ending: list[Order] = [End(completed=True)] if phase is Phase.DONE else []
@@ -232,6 +232,8 @@ def _next_phase(plan: Plan, state: State) -> Phase:
     moves = NEXT[state.phase]
     if len(moves) == 1:
         return next(iter(moves))
+    if state.phase is Phase.BABBLE:
+        return Phase.DONE if plan.open_loop else Phase.ENCODE
     if state.iteration < iterations_now(plan, state):
         return Phase.WALK
     return Phase.BABBLE if state.level + 1 < len(plan.levels) else Phase.DONE

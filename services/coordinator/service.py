@@ -18,7 +18,7 @@ from services.coordinator.machine import announcement, best_of, decide
 from services.coordinator.report import describe, witnesses
 from services.coordinator.run_files import RunFiles
 from services.coordinator.state import State, awaited, iterations_now, present
-from services.coordinator.table import LEARNERS
+from services.coordinator.table import LEARNERS, RECORDER
 from services.coordinator.table import Phase as MachinePhase
 from services.coordinator.translate import announced, settings_announced, status_reported
 from services.coordinator.waiting import frozen_name, phase_name, waiting
@@ -48,6 +48,8 @@ SERVICE = "coordinator"
 ANNOUNCE_SECS = 1.0
 FAREWELL_SECS = 5.0
 """DONE is announced for so long at most, while the own link is up."""
+RECORDER_SECS = 30.0
+"""The recorder, which writes down what was still under way, has so long instead."""
 LATECOMERS_SECS = 20.0
 """A run that was done before is announced for so long: whoever was started with it hears it and ends."""
 QUANTUM = 256
@@ -285,16 +287,18 @@ class CoordinatorService:
         question.reply(encode(reply))
 
     def _may_leave(self, now_secs: float) -> bool:
-        """After DONE: when all others but onlookers are gone or have had time to hear it."""
+        """After DONE: when all others but onlookers are gone or have had time to hear it, and to end."""
         if self._done_secs is None:
             return False
         since_secs = now_secs - self._done_secs
         if self._done_before and since_secs < LATECOMERS_SECS:
             return False
-        if set(awaited(self._state).values()) <= {SERVICE}:
+        others = set(awaited(self._plan, self._state).values()) - {SERVICE}
+        if not others:
             return since_secs >= ANNOUNCE_SECS
+        farewell_secs = RECORDER_SECS if RECORDER in others else FAREWELL_SECS
         linked_secs = now_secs - max(self._done_secs, self._unlinked_secs)
-        return linked_secs >= FAREWELL_SECS or since_secs >= FAREWELL_SECS + self._settings.wire.connect_secs
+        return linked_secs >= farewell_secs or since_secs >= farewell_secs + self._settings.wire.connect_secs
 
     def _best(self) -> list[KeepBest]:
         kept = (best_of(self._state, block) for level in self._plan.levels for block in level)

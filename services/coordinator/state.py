@@ -4,18 +4,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from services.coordinator.table import Learner, Phase
+from services.coordinator.table import DUTY, OPEN_LOOP, RECORDER, Duty, Phase, Worker
 from services.coordinator.words import BlockProgress, Frozen, ScoreRow
 
-ONLOOKERS = frozenset({"dashboard", "recorder", "router"})
-"""Services that only watch or carry a run: it goes on without them and waits for none of them."""
+ONLOOKERS = frozenset({"dashboard", RECORDER, "router"})
+"""Services that only watch or carry a run: it goes on without them and waits for none of them.
+
+The recorder is none in a run that records.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
     """What a run does: the block names of each level, bottom-up, and how often each level iterates.
 
-    Raises ValueError if a level is empty or without its number of iterations, or a block is named twice.
+    Raises ValueError if a level is empty or without its number of iterations, a block is named twice, or
+    nothing is learned and nothing recorded.
     """
 
     levels: tuple[tuple[str, ...], ...]
@@ -25,9 +29,13 @@ class Plan:
     """no progress for so long is a stall"""
     link_grace_secs: float = 3.0
     """members have so long to be seen again once the own link is up; longer than a reconnect takes"""
-    processes: Mapping[Learner, int] = field(default_factory=dict)
+    open_loop: bool = False
+    """nothing is learned: actors babble, the recorder writes it down, and the run is done"""
+    records: bool = False
+    """the recorder writes down what actors do: they do nothing without it, and at the end it is waited for"""
+    processes: Mapping[Worker, int] = field(default_factory=dict)
     """how many of each learner share the blocks; 1 where it is not said"""
-    shares: Mapping[tuple[Learner, str], int] = field(default_factory=dict)
+    shares: Mapping[tuple[Worker, str], int] = field(default_factory=dict)
     """(learner, block) -> the index of the process that learns it; 0 where it is not said"""
 
     def __post_init__(self) -> None:
@@ -36,6 +44,8 @@ class Plan:
             raise ValueError(f"each level needs blocks and each block one level; got {self.levels}")
         if len(self.iterations) != len(self.levels):
             raise ValueError(f"{len(self.levels)} levels cannot have the iterations {self.iterations}")
+        if self.open_loop and not self.records:
+            raise ValueError("an open loop of which nothing is recorded has nobody to end it")
 
 
 class OwnLink(StrEnum):
@@ -73,8 +83,8 @@ class State:
     progress: Mapping[tuple[str, str], BlockProgress] = field(default_factory=dict)
     """By (block, life), because a learner that starts again counts again."""
     finished: frozenset[str] = frozenset()
-    learners_wait_for: Mapping[str, str] = field(default_factory=dict)
-    """By life, what each of the learners responsible says in this term."""
+    workers_wait_for: Mapping[str, str] = field(default_factory=dict)
+    """By life, what each of those responsible says in this term."""
     scores: tuple[ScoreRow, ...] = ()
     members: Mapping[str, Member] = field(default_factory=dict)
     link: OwnLink = OwnLink.UP
@@ -96,6 +106,11 @@ def blocks_at_work(plan: Plan, state: State) -> tuple[str, ...]:
     return plan.levels[state.level]
 
 
+def duty_now(plan: Plan, state: State) -> Duty:
+    """What is done in the current phase, and who ends it."""
+    return OPEN_LOOP.get(state.phase, DUTY[state.phase]) if plan.open_loop else DUTY[state.phase]
+
+
 def iterations_now(plan: Plan, state: State) -> int:
     """How often the current level iterates; after the last phase, the last level."""
     return plan.iterations[min(state.level, len(plan.iterations) - 1)]
@@ -110,6 +125,7 @@ def present(state: State) -> dict[str, str]:
     }
 
 
-def awaited(state: State) -> dict[str, str]:
+def awaited(plan: Plan, state: State) -> dict[str, str]:
     """Those present whom the run waits for: all but onlookers."""
-    return {life: service for life, service in present(state).items() if service not in ONLOOKERS}
+    onlookers = ONLOOKERS - {RECORDER} if plan.records else ONLOOKERS
+    return {life: service for life, service in present(state).items() if service not in onlookers}

@@ -29,7 +29,10 @@ ONLY = ""
 
 NEXT: Mapping[Phase, Mapping[Phase, str]] = MappingProxyType(
     {
-        Phase.BABBLE: {Phase.ENCODE: ONLY},
+        Phase.BABBLE: {
+            Phase.ENCODE: "something is to be learned",
+            Phase.DONE: "nothing is to be learned (open loop)",
+        },
         Phase.ENCODE: {Phase.GROUND: ONLY},
         Phase.GROUND: {Phase.EVALUATE: ONLY},
         Phase.WALK: {Phase.REFINE: ONLY},
@@ -47,6 +50,9 @@ NEXT: Mapping[Phase, Mapping[Phase, str]] = MappingProxyType(
 
 Learner = Literal["encoder_learner", "policy_learner"]
 LEARNERS: tuple[Learner, ...] = get_args(Learner)
+RECORDER: Literal["recorder"] = "recorder"
+Worker = Learner | Literal["recorder"]
+"""Who can be responsible for a phase."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +60,8 @@ class Duty:
     """What is done in a phase, who ends it, and what that one counts."""
 
     does: str
-    learner: Learner | None
+    worker: Worker | None
+    """who is responsible for it and ends it"""
     counts: str
     needs_actors: bool
 
@@ -63,46 +70,59 @@ DUTY: Mapping[Phase, Duty] = MappingProxyType(
     {
         Phase.BABBLE: Duty(
             does="actors move at random; the encoder learner collects",
-            learner="encoder_learner",
+            worker="encoder_learner",
             counts="steps",
             needs_actors=True,
         ),
         Phase.ENCODE: Duty(
             does="the encoder is fitted to what was collected",
-            learner="encoder_learner",
+            worker="encoder_learner",
             counts="updates",
             needs_actors=False,
         ),
         Phase.GROUND: Duty(
             does="the policy is trained for the first time, the encoder is frozen",
-            learner="policy_learner",
+            worker="policy_learner",
             counts="steps",
             needs_actors=True,
         ),
         Phase.WALK: Duty(
             does="actors walk from vertex to vertex with the policy; the encoder learner collects",
-            learner="encoder_learner",
+            worker="encoder_learner",
             counts="steps",
             needs_actors=True,
         ),
         Phase.REFINE: Duty(
             does="the encoder is fitted again and blended with the old one",
-            learner="encoder_learner",
+            worker="encoder_learner",
             counts="updates",
             needs_actors=False,
         ),
         Phase.PRACTISE: Duty(
             does="the policy is trained again, the encoder is frozen",
-            learner="policy_learner",
+            worker="policy_learner",
             counts="steps",
             needs_actors=True,
         ),
         Phase.EVALUATE: Duty(
             does="the newest versions are scored; nothing is changed",
-            learner="policy_learner",
+            worker="policy_learner",
             counts="columns",
             needs_actors=True,
         ),
-        Phase.DONE: Duty(does="every process ends with code 0", learner=None, counts="", needs_actors=False),
+        Phase.DONE: Duty(does="every process ends with code 0", worker=None, counts="", needs_actors=False),
     }
 )
+"""What is done in each phase of a run that learns."""
+
+OPEN_LOOP: Mapping[Phase, Duty] = MappingProxyType(
+    {
+        Phase.BABBLE: Duty(
+            does="actors move at random; the recorder writes it down",
+            worker=RECORDER,
+            counts="steps",
+            needs_actors=True,
+        ),
+    }
+)
+"""The duties that are otherwise where nothing is learned."""

@@ -3,6 +3,7 @@
 import ipaddress
 import os
 import socket
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,7 +23,7 @@ IDENTITIES = (
     "launcher",
     LOCAL_ACTOR,
 )
-"""Whose credentials `babble up` needs for a tls/ address."""
+"""Whose credentials `babble up` needs for a tls/ address; where a run records, the recorder's too."""
 EVERYWHERE = {"0.0.0.0": "127.0.0.1", "::": "::1"}
 """Addresses to listen at, and how this machine reaches them."""
 
@@ -50,7 +51,9 @@ class Address:
         return credential_for("launcher", self.connect, path)
 
 
-def address_of(listen: str | None, *, certs: Path | None = None, plain: bool = False) -> Address:
+def address_of(
+    listen: str | None, *, certs: Path | None = None, plain: bool = False, records: bool = False
+) -> Address:
     """The address that was asked for, if it is free, else one of this machine alone on a free port.
 
     Raises `BusError` if it is no address, is taken or is open to anybody, and `CredentialError` if a
@@ -70,7 +73,7 @@ def address_of(listen: str | None, *, certs: Path | None = None, plain: bool = F
     reached = EVERYWHERE.get(host, host)
     if protocol == "tls":
         certs = certs or CERTS
-        _check_credentials(certs, reached)
+        _check_credentials(certs, reached, (*IDENTITIES, "recorder") if records else IDENTITIES)
     port = _free_port(host, port, listen)
     return Address(
         listen=f"{protocol}/{_bracketed(host)}:{port}",
@@ -106,9 +109,9 @@ def _parts(listen: str) -> tuple[str, str, int]:
     return address.protocol, address.host, address.port
 
 
-def _check_credentials(certs: Path, host: str) -> None:
+def _check_credentials(certs: Path, host: str, identities: Sequence[str]) -> None:
     """Raise `CredentialError` unless all processes of this machine could connect at that host."""
-    files = [credential_file(certs, identity) for identity in IDENTITIES]
+    files = [credential_file(certs, identity) for identity in identities]
     if os.path.isdir(certs) and not os.access(certs, os.X_OK):
         read_credential(files[0])  # says whose folder that is
     missing = [str(path) for path in files if not os.path.exists(path)]

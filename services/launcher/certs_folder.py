@@ -50,7 +50,7 @@ CA_KEY, CA_PEM, ROUTER_PEM, HOSTS, REVOKED = (
 )
 LOCAL = "local"
 """The host label of the actors beside the router."""
-FIRST_ROLES = ("coordinator", "encoder_learner", "policy_learner", "dashboard", "launcher")
+FIRST_ROLES = ("coordinator", "encoder_learner", "policy_learner", "dashboard", "launcher", "recorder")
 PRIVATE, PUBLIC, FOLDER = 0o600, 0o644, 0o700
 
 Owner = tuple[int, int]

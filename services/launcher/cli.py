@@ -17,6 +17,8 @@ COMMANDS = {
     "status": ("services.launcher.status_command", "how a run is going"),
     "view": ("services.launcher.view_command", "see the recording of a run in a browser"),
     "report": ("services.launcher.report_command", "write the report of a run anew, with its figures"),
+    "coverage": ("services.launcher.coverage_command", "what a run has explored, of its recorded states"),
+    "study": ("services.launcher.study_command", "run the conditions of a study and compare them"),
     "score": ("services.launcher.score_command", "score the saved models of a run in fresh worlds"),
     "worlds": ("services.launcher.worlds_command", "the worlds, with their parameters"),
     "certs": ("services.launcher.certs_command", "certificates for runs over several hosts"),

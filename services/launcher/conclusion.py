@@ -9,8 +9,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 
 from services.launcher.lines import Row, best_words, brief, has_many_blocks, kept_table, score_table
+from services.launcher.recorded import outcome_words
 from services.launcher.run_folder import RunFolder
 from services.runtime.checkpoint import DRAFT_SUFFIX
+from services.runtime.settings import RunSettings
 
 VIEW_VARIABLE = "BABBLE_VIEW"
 """The environment variable with the command that shows a recording, where it is not `babble view`."""
@@ -22,10 +24,19 @@ MOST_ITERATIONS = 20
 def print_scores(folder: RunFolder) -> None:
     """The scores in the run's folder, which iteration is kept, and how many blocks of a tree reach the bar.
 
-    Raises `UserError` if they are damaged.
+    Then what was recorded; that alone of a run in which nothing is learned. Raises `UserError` if scores are
+    damaged.
     """
+    settings = folder.settings()
+    if not settings.phases.open_loop:
+        _print_learned(folder, settings)
+    for sentence in outcome_words(folder.path, folder.shown, settings):
+        _print_sentence(sentence)
+
+
+def _print_learned(folder: RunFolder, settings: RunSettings) -> None:
     print_rows(folder.scores(), folder.best(), f"{folder.shown}/scores.jsonl")
-    if len((settings := folder.settings()).block) > 1:
+    if len(settings.block) > 1:
         # Worlds and what reads their models take their time, which runs of one block do not need.
         from services.launcher.judging import tree_words
         from services.launcher.scored_run import open_run
@@ -36,6 +47,9 @@ def print_scores(folder: RunFolder) -> None:
 
 def print_rows(rows: Sequence[Row], best: Mapping[str, Row], where: str) -> None:
     """The newest rows, `where` all of them are, and which iteration is kept; of many blocks only that."""
+    if not rows:
+        print("there are no scores")
+        return
     if has_many_blocks(rows):
         print("\n".join(kept_table(rows, best)))
         print(f"each block's kept iteration; all rows are in {where}")
@@ -50,7 +64,11 @@ def print_rows(rows: Sequence[Row], best: Mapping[str, Row], where: str) -> None
 
 def _print_sentence(sentence: str) -> None:
     width = min(MOST_COLUMNS, shutil.get_terminal_size().columns)
-    print(textwrap.fill(sentence, width, subsequent_indent="  "), flush=True)
+    # A folder or a command in it is to be copied, so it is not broken.
+    whole = textwrap.TextWrapper(
+        width, subsequent_indent="  ", break_on_hyphens=False, break_long_words=False
+    )
+    print(whole.fill(sentence), flush=True)
 
 
 def say_how_to_see_it(folder: RunFolder) -> None:

@@ -39,14 +39,23 @@ def known_scenarios() -> dict[str, Path]:
     return {}
 
 
-def scenario_settings(scenario: str, *, actors: int | None, seed: int | None) -> RunSettings:
-    """The whole settings of a run, with its world and tree of blocks tried out. Raises `SettingsError`."""
+def scenario_settings(
+    scenario: str, *, actors: int | None, seed: int | None, record: int | None = None
+) -> RunSettings:
+    """The whole settings of a run, with its world and tree of blocks tried out. Raises `SettingsError`.
+
+    `record`: each so manieth environment step is recorded.
+    """
     path = scenario_path(scenario)
     settings = load(path) if seed is None else load(path, seed=seed)
-    if actors is not None:
-        table = settings.model_dump()
-        table["actors"]["count"] = actors
-        settings = parse(table, origin="--actors")
+    for option, name, key, value in (
+        ("--actors", "actors", "count", actors),
+        ("--record", "recording", "every_steps", record),
+    ):
+        if value is not None:
+            table = settings.model_dump()
+            table[name][key] = value
+            settings = parse(table, origin=option)
     check_world(settings, origin=str(path))
     return settings
 

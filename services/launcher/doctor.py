@@ -63,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
 def examine() -> Iterable[Finding]:
     """All findings, the cheap ones first."""
     yield _python()
-    for extra in ("router", "coordinator", "actor", "learner", "launcher"):
+    for extra in ("router", "coordinator", "actor", "learner", "recorder", "launcher"):
         yield packages(extra, requirements(extra), installed)
     yield _onnxruntime()
     yield _eyes()

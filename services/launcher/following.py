@@ -43,7 +43,8 @@ class Follower:
         self.picture = Picture(asked.run, folder.shown if folder else "", time.monotonic())
         self.picture.opening = "waiting for the coordinator"
         self.picture.linked = False
-        self.picture.goals = folder.settings().goals if folder else None
+        if folder is not None:
+            self.picture.know(folder.settings())
         self.best: dict[str, Row] = {}
         """Block -> the iteration that is kept, where the coordinator has told it."""
         self._asked, self._credential, self._folder = asked, credential, folder

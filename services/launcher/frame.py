@@ -18,6 +18,7 @@ from services.launcher.lines import (
     wrapped,
 )
 from services.launcher.members import BlockWork, Picture, by_learner, slowest, together
+from services.launcher.recorded import counts_words
 from services.launcher.roster import roster
 from services.runtime.phases import phase_words
 
@@ -59,6 +60,7 @@ def frame(
             _phase(picture, now_secs, width, signs),
             _errors(picture, width),
             _learning(picture, width, signs),
+            _recorded(picture),
             _members(picture, now_secs, width),
             _wire(picture, width, signs),
             _scores(picture),
@@ -82,6 +84,7 @@ def facts(picture: Picture, now_secs: float, width: int, signs: Signs | None = N
         _section(1, _works(picture, now_secs, width, signs), 0),
         _errors(picture, width),
         _learning(picture, width, signs),
+        _recorded(picture),
         _members(picture, now_secs, width),
         _wire(picture, width, signs),
     ):
@@ -160,7 +163,7 @@ def _works(
     longest = max((len(work.block) for group in groups.values() for work in group), default=0)
     rows: list[Line] = []
     for life, group in groups.items():
-        rows += [((life or "no learner yet", ""),)] if len(groups) > 1 else []
+        rows += [((life or f"no {group[0].worker} yet", ""),)] if len(groups) > 1 else []
         rows += [_bar(work, longest, width, signs) for work in group]
     return rows
 
@@ -199,6 +202,11 @@ def _learning(picture: Picture, width: int, signs: Signs) -> Section:
         for words in (encoder_words(values), policy_words(values, picture.goals)):
             rows += [((f"  {text}", ""),) for text in packed(words, width - 2, signs)]
     return _section(4, rows, 3)
+
+
+def _recorded(picture: Picture) -> Section:
+    words = counts_words(picture.recorded())
+    return _section(4, [(("recorded: ", "bold"), (words, ""))] if words else [], 1)
 
 
 def _plain(texts: Sequence[str]) -> list[Line]:

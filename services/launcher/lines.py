@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from services.launcher.learning import learning_words
-from services.launcher.members import BlockWork, Picture, by_learner
+from services.launcher.members import RECORDER, BlockWork, Picture, by_learner
 from services.runtime.phases import phase_words
 
 Line = tuple[tuple[str, str], ...]
@@ -57,6 +57,8 @@ def progress_line(picture: Picture, now_secs: float) -> str:
         parts.append(f"{rate:,.0f} steps/s")
     if learned := learning_words(picture):
         parts.append(learned)
+    if rows := picture.recorded().get("rows"):
+        parts.append(f"{rows:,} rows recorded")
     return "; ".join(parts)
 
 
@@ -156,12 +158,13 @@ def _works_words(works: Sequence[BlockWork]) -> list[str]:
         for life, group in groups.items()
     ]
     waiting = [work.block for work in works if work.waits]
+    worker = next((work.worker for work in works if work.waits), "")
     if waiting:
         shown = [
             *waiting[:MOST_BLOCKS],
             *([f"{len(waiting) - MOST_BLOCKS} more"] * (len(waiting) > MOST_BLOCKS)),
         ]
-        words.append(f"waiting for a learner: {', '.join(shown)}")
+        words.append(f"waiting for a {worker}: {', '.join(shown)}")
     return words
 
 
@@ -183,7 +186,7 @@ def amount_words(work: BlockWork) -> str:
     progress = work.progress
     words = [] if progress is None else [f"{progress.done:,} of {progress.wanted:,} {progress.unit}"]
     if work.waits:
-        words.append("waiting for its learner")
+        words.append(f"waiting for {'the' if work.worker == RECORDER else 'its'} {work.worker}")
     elif work.left_secs is not None and progress is not None and not progress.finished:
         words.append(f"{clock_words(work.left_secs)} left")
     return ", ".join(words)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from protocol.latest import LatestPhase
 from protocol.messages import Phase, PhaseAnnounced, Progress, Status
 from services.runtime.phases import phase_words
-from services.runtime.settings import GoalSettings
+from services.runtime.settings import GoalSettings, RunSettings
 from services.runtime.speed import Speed
 
 SHOW_LOST_SECS = 10.0
@@ -20,7 +20,7 @@ ERROR_SECS = 10.0
 """What goes wrong in one process is told so often at most; the newest is always to be seen."""
 DOUBT_SECS = 0.3
 """The tokens of all members go a moment before the own link is known to be lost."""
-ROUTER = "router"
+ROUTER, RECORDER = "router", "recorder"
 MOST_LAST_WORDS = 256
 MOST_NEWS = 100
 MOST_EVENTS = 16
@@ -89,7 +89,9 @@ class BlockWork:
     learner: str
     """the life that spoke of it last; empty before the first word"""
     waits: bool
-    """it is not finished, and no learner is there that works on it"""
+    """it is not finished, and nobody is there who works on it"""
+    worker: str = "learner"
+    """who should be"""
 
 
 class Picture:
@@ -101,6 +103,8 @@ class Picture:
         self.began_secs = began_secs
         self.goals: GoalSettings | None = None
         """How reaching goals is rewarded; None if that is not known here."""
+        self.worker = "learner"
+        """Who works on blocks: "recorder" where nothing is learned."""
         self.opening = "starting the processes"
         """What goes on before the coordinator's first word."""
         self.dashboard = ""
@@ -138,6 +142,11 @@ class Picture:
         """True once the coordinator has said that the run is done."""
         return self.announced is not None and self.announced.phase is Phase.DONE
 
+    def know(self, settings: RunSettings) -> None:
+        """Take what the run's settings say."""
+        self.goals = settings.goals
+        self.worker = RECORDER if settings.phases.open_loop else "learner"
+
     def hear_phase(self, announced: PhaseAnnounced, now_secs: float) -> None:
         """Take the coordinator's word."""
         before = self.announced
@@ -156,6 +165,8 @@ class Picture:
         member.cpu.hear(now_secs, round(1000 * status.metrics.get("cpu_secs", 0.0)))
         if "env_steps" in status.totals:
             member.speed.hear(now_secs, status.totals["env_steps"])
+        if status.service == RECORDER and status.progress:
+            self.worker = RECORDER
         for progress in status.progress:
             if status.term >= self._told.get(progress.block, (0,))[0]:
                 self._told[progress.block] = status.term, status.life, progress
@@ -249,7 +260,8 @@ class Picture:
         unheard = [block for block in self.announced.blocks if late and block not in told]
         works = [self._work(life, progress, now_secs) for life, progress in told.values()]
         works += [
-            BlockWork(block=block, progress=None, left_secs=None, learner="", waits=True) for block in unheard
+            BlockWork(block=block, progress=None, left_secs=None, learner="", waits=True, worker=self.worker)
+            for block in unheard
         ]
         return sorted(works, key=lambda work: not work.waits)
 
@@ -272,6 +284,12 @@ class Picture:
         heard = [member.status for member in self._members.values() if member.status is not None]
         said = {status.life: status for status in (*self._last_words.values(), *heard)}
         return {life: s.metrics["cpu_secs"] for life, s in sorted(said.items()) if "cpu_secs" in s.metrics}
+
+    def recorded(self) -> Mapping[str, int]:
+        """The totals that the recorder told last: rows, files, bytes, gaps; empty without a recorder."""
+        told = [member for member in self.members(RECORDER) if member.status is not None]
+        newest = max(told, key=lambda member: member.heard_secs or 0.0, default=None)
+        return {} if newest is None or newest.status is None else newest.status.totals
 
     def measured(self) -> dict[str, dict[str, float]]:
         """Block -> the newest of what the learners measure, by names such as "policy/loss"."""
@@ -306,6 +324,7 @@ class Picture:
             left_secs=left / per_sec if per_sec else None,
             learner=life,
             waits=not (there or progress.finished),
+            worker=self.worker,
         )
 
 
@@ -337,6 +356,7 @@ def together(works: Sequence[BlockWork]) -> BlockWork:
         left_secs=max(known) if known and len(known) == len(left) else None,
         learner=works[0].learner,
         waits=all(work.waits for work in works),
+        worker=works[0].worker,
     )
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from babble.worlds import WORLDS
+from services.launcher.recorded import NOTHING_LEARNED, report_section
 from services.launcher.records import table
 from services.launcher.report_blocks import learning, only_block
 from services.launcher.report_levels import level_section, tree_summary
@@ -42,6 +43,7 @@ def write_report(run_dir: Path, *, rollouts: bool = True) -> Path:
     measured = survey.curves.blocks
     sections += [learning(survey, b.name) for b in run.settings.block if _is_new(run, measured, b.name)]
     sections += [
+        report_section(run.folder, run.shown, run.settings),
         time_section(survey),
         _processor(survey),
         _numbers(run, brief=not rollouts),
@@ -67,7 +69,9 @@ def _heading(survey: Survey) -> list[str]:
         lines += [f"World: {entry.id}, {entry.description}. Seed of the run: {run.settings.seed}.", ""]
     if not timeline.done:
         lines.append(_unfinished(survey))
-    if not run.blocks:
+    if run.settings.phases.open_loop:
+        lines += ["", f"{_capital(NOTHING_LEARNED)}: actors babble, and what they do is recorded."]
+    elif not run.blocks:
         lines += ["", "Nothing has been evaluated yet, so there are no scores."]
     elif len(run.settings.block) > 1:
         lines += ["", f"**{_capital(tree_summary(run))}.**"]
@@ -151,8 +155,14 @@ def _again(run: Run) -> list[str]:
         "## See it again",
         "",
         f"- `babble view {run.shown}` replays the recording of the dashboard in a browser, if there is one",
-        f"- `babble score {run.shown}` rolls the saved models out in fresh worlds and scores them anew",
     ]
+    if run.settings.recording.every_steps:
+        lines.append(f"- `babble coverage {run.shown}` says what was explored, of the recorded states")
+    if run.settings.phases.open_loop:
+        return lines
+    lines.append(
+        f"- `babble score {run.shown}` rolls the saved models out in fresh worlds and scores them anew"
+    )
     if len(run.settings.block) > 1:
         return lines
     control = f"- `babble score {run.shown} --control` does so with a policy on an untrained encoder, "

@@ -78,6 +78,8 @@ def _completed(timeline: Timeline, spans: list[Span]) -> int:
 
 def _steps_words(survey: Survey) -> str:
     learned, evaluated = steps_by_level(survey)
+    if survey.run.settings.phases.open_loop:
+        return f"In the phases that were completed: {sum(learned.values()):,} environment steps."
     whole = f"{sum(learned.values()):,} environment steps to learn from"
     if len(learned) > 1:
         parts = [f"level {level} {steps:,}" for level, steps in sorted(learned.items())]

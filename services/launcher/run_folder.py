@@ -44,6 +44,8 @@ PACKAGES = (
     "pyarrow",
     "pydantic",
     "rerun-sdk",
+    "scikit-dimension",
+    "scipy",
     "stable-baselines3",
     "torch",
 )

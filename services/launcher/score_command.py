@@ -16,7 +16,7 @@ from services.launcher.child_ends import ChildEnds, child_ends, table_of
 from services.launcher.evaluate import COLUMNS, rolled_out
 from services.launcher.judging import measures, score_columns, shortfalls, tree_words
 from services.launcher.score_control import control_rows
-from services.launcher.scored_run import Run, Version, open_run
+from services.launcher.scored_run import Run, RunError, Version, open_run
 
 HEADS = {
     "separation": "sep",
@@ -65,6 +65,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Score a run; returns the exit code: 0, or 1 if the control passed. Raises `UserError`s."""
     opened = open_run(arguments.run)
+    if opened.settings.phases.open_loop:
+        raise RunError(
+            f"nothing was learned in {opened.shown} (open loop), so there is nothing to score; "
+            f"see what it explored with `babble coverage {opened.shown}`"
+        )
     return _control(opened, arguments) if arguments.control else _score(opened, arguments)
 
 

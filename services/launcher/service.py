@@ -22,7 +22,7 @@ from services.runtime.process import new_life
 from services.runtime.settings import RunSettings
 from services.runtime.sharing import name_of
 
-DASHBOARD = "dashboard"
+DASHBOARD, RECORDER = "dashboard", "recorder"
 POLL_SECS = 0.1
 BRISK_SECS = 0.02
 """Between two looks at processes that are ending."""
@@ -74,7 +74,7 @@ class Launcher:
         self._connect_secs = settings.wire.connect_secs
         self._supervisor = Supervisor(parts_of(folder, settings, address, dashboard), ChildProcess)
         self._picture = Picture(folder.run, folder.shown, time.monotonic())
-        self._picture.goals = settings.goals
+        self._picture.know(settings)
         self._picture.dashboard = dashboard.url if dashboard else ""
         self._wakeup = Wakeup()
         self._listener = Listener(self._picture, self._wakeup)
@@ -195,8 +195,10 @@ class Launcher:
             self._supervise()
 
     def _outcome(self, interrupts: Interrupts) -> Outcome:
-        supervisor, completed = self._supervisor, self._picture.done
-        code, sentence = (0, "") if completed else (supervisor.fatal_code, "the processes ended too early")
+        supervisor, unfinished = self._supervisor, self._supervisor.unfinished()
+        completed = self._picture.done and not unfinished
+        early = " and ".join(unfinished) if self._picture.done else "the processes"
+        code, sentence = (0, "") if completed else (supervisor.fatal_code, f"{early} ended too early")
         if interrupts.numbers:
             code, sentence = 128 + interrupts.numbers[0], ""
         elif self._unconnected:
@@ -228,15 +230,19 @@ def parts_of(
             outlasts=service == "router",
             leads=service == "coordinator",
             optional=service == DASHBOARD,
+            must_finish=service == RECORDER,
         )
 
     actors = [part(f"actor-{i}", "actor", *run_dir, "--index", str(i)) for i in range(settings.actors.count)]
     counts = {"encoder_learner": settings.learners.encoder, "policy_learner": settings.learners.policy}
+    counts = {} if settings.phases.open_loop else counts
     learners = [
         part(name_of(kind, i), kind, *run_dir, "--index", str(i))
         for kind, count in counts.items()
         for i in range(count)
     ]
+    if settings.recording.every_steps:
+        learners.append(part(RECORDER, RECORDER, *run_dir))
     if dashboard is not None:
         ports = ("--web-port", str(dashboard.web), "--grpc-port", str(dashboard.grpc))
         actors.append(part(DASHBOARD, DASHBOARD, *run_dir, "--bind", HOST, *ports))

@@ -47,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
         _refuse_completed(folder)
     told, picture = look(asked.run, asked.endpoint(), asked.credential(arguments.credential))
     if folder is not None:
-        picture.goals = folder.settings().goals
+        picture.know(folder.settings())
     lines = status_lines(
         told,
         dashboard=folder.dashboard() if folder else "",

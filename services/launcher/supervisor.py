@@ -31,6 +31,8 @@ class Part:
     """the others learn from it that the run is done (the coordinator)"""
     optional: bool = False
     """the run goes on whatever happens to it (the dashboard)"""
+    must_finish: bool = False
+    """the run is completed only when it has ended in order after it (the recorder)"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,6 +85,8 @@ class _Place:
     """when it is to be started; None if it is running or over"""
     deaths_secs: list[float] = field(default_factory=list)
     cpu_secs: float = 0.0
+    has_finished: bool = False
+    """it ended in order, after the run"""
 
     @property
     def over(self) -> bool:
@@ -133,6 +137,10 @@ class Supervisor:
         """True while there is one from whom the others learn that the run is done."""
         return any(place.part.leads and not place.over for place in self._places)
 
+    def unfinished(self) -> list[str]:
+        """The parts that must finish and have not, by name."""
+        return [p.part.name for p in self._places if p.part.must_finish and not p.has_finished]
+
     def ended(self) -> bool:
         """True once no process is left."""
         return all(place.child is None for place in self._places)
@@ -157,7 +165,8 @@ class Supervisor:
 
     def _ended(self, place: _Place, exit: Exit, now_secs: float, done: bool) -> list[str]:
         part = place.part
-        if self._stopping or (done and exit.code == 0):
+        place.has_finished = done and exit.code == 0 and not self._stopping
+        if self._stopping or place.has_finished:
             return []
         how = f"{part.name} {how_it_ended(exit.code)}"
         if exit.code == USER_ERROR and part.optional:
@@ -165,13 +174,21 @@ class Supervisor:
         if exit.code == USER_ERROR:
             self._give_up(last_line(part.log) or f"{how}; see {part.log}", USER_ERROR)
             return []
-        if done and not (part.leads or part.outlasts):
+        if done and not (part.leads or part.outlasts or part.must_finish):
             return [f"{how} after the run was done; see {part.log}"]
         delay_secs = self._patience.note_death(place.deaths_secs, now_secs)
         if delay_secs is not None:
             place.due_secs = now_secs + delay_secs
+            if done:
+                self._recall_leader(now_secs)
             return [f"{how}; it is started again in {delay_secs:g} s"]
         return self._abandoned(place, how)
+
+    def _recall_leader(self, now_secs: float) -> None:
+        """Who starts again after the run hears only from the leader that the run is done."""
+        for place in self._places:
+            if place.part.leads and place.over:
+                place.due_secs = now_secs
 
     def _abandoned(self, place: _Place, how: str) -> list[str]:
         part = place.part

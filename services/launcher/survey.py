@@ -42,7 +42,7 @@ def survey_of(run_dir: Path) -> Survey:
     metrics, events = Records(folder / "metrics.jsonl"), Records(folder / "events.jsonl")
     scores = Records(folder / "scores.jsonl")
     curves = read_curves(metrics)
-    timeline = timeline_of(events, curves.alive_secs)
+    timeline = timeline_of(events, curves.alive_secs, open_loop=settings.phases.open_loop)
     rows = _scores_of(scores, settings, troubles)
     troubles += [records.trouble for records in (metrics, events, scores) if records.trouble]
     try:

@@ -14,7 +14,7 @@ from services.launcher.records import Record, moment, text
 
 RESUMED_SECS = 10.0
 """A coordinator that its launcher starts again is back sooner; after a longer silence the run was resumed."""
-ENCODER, POLICY, ACTOR = "encoder_learner", "policy_learner", "actor"
+ENCODER, POLICY, ACTOR, RECORDER = "encoder_learner", "policy_learner", "actor", "recorder"
 NEEDED: Mapping[Phase, frozenset[str]] = {
     Phase.BABBLE: frozenset({ENCODER, ACTOR}),
     Phase.ENCODE: frozenset({ENCODER}),
@@ -26,6 +26,8 @@ NEEDED: Mapping[Phase, frozenset[str]] = {
     Phase.DONE: frozenset(),
 }
 """Without one of each of these a phase waits; services/coordinator/table.py has the same as duties."""
+OPEN_LOOP: Mapping[Phase, frozenset[str]] = {**NEEDED, Phase.BABBLE: frozenset({RECORDER, ACTOR})}
+"""The same where nothing is learned."""
 ANNOUNCED = re.compile(r"(\w+)(?: of (\w+))? \(level (\d{1,9}), iteration (\d{1,9}), term (\d{1,9})\)")
 MEMBER = re.compile(r"(\S+) \((\w+)\)")
 
@@ -112,12 +114,15 @@ class Timeline:
         return self.spans[-1].end_secs if self.spans else 0.0
 
 
-def timeline_of(events: Iterable[Record], alive_secs: Sequence[float] = ()) -> Timeline:
+def timeline_of(
+    events: Iterable[Record], alive_secs: Sequence[float] = (), *, open_loop: bool = False
+) -> Timeline:
     """The timeline of the records of `events.jsonl`.
 
-    `alive_secs` are other times, ascending, at which the run was known to be running.
+    `alive_secs` are other times, ascending, at which the run was known to be running. In an `open_loop`
+    nothing is learned, so that it waits for a recorder instead of learners.
     """
-    reader = _Reader(alive_secs)
+    reader = _Reader(alive_secs, OPEN_LOOP if open_loop else NEEDED)
     for event in events:
         secs, what, words = moment(event, "secs"), text(event, "what"), text(event, "text")
         if secs is not None and what is not None and words is not None:
@@ -126,8 +131,8 @@ def timeline_of(events: Iterable[Record], alive_secs: Sequence[float] = ()) -> T
 
 
 class _Reader:
-    def __init__(self, alive_secs: Sequence[float]) -> None:
-        self._alive_secs = alive_secs
+    def __init__(self, alive_secs: Sequence[float], needed: Mapping[Phase, frozenset[str]]) -> None:
+        self._alive_secs, self._needed = alive_secs, needed
         self._timeline = Timeline()
         self._announced: Term | None = None
         self._since = self._last_secs = 0.0
@@ -205,7 +210,7 @@ class _Reader:
         """Is anybody missing?"""
         if self._announced is None or self._ended:
             return
-        missing = NEEDED[self._announced.phase] - set(self._members.values())
+        missing = self._needed[self._announced.phase] - set(self._members.values())
         now_secs = self._timeline.running(secs)
         if missing and self._waiting_since is None:
             self._waiting_since = now_secs

@@ -33,8 +33,10 @@ def run(arguments: argparse.Namespace) -> int:
         return _resume(arguments)
     if arguments.scenario is None:
         raise UserError("give a scenario, for example `babble up cuboid`, or --resume RUN")
-    settings = scenario_settings(arguments.scenario, actors=arguments.actors, seed=arguments.seed)
-    address = _address(arguments)
+    settings = scenario_settings(
+        arguments.scenario, actors=arguments.actors, seed=arguments.seed, record=arguments.record
+    )
+    address = _address(arguments, settings)
     choice = _choice(arguments)
     with dashboard.ports_for(choice) or nullcontext() as ports:
         folder = RunFolder.create(settings, arguments.run_dir, sys.argv)
@@ -43,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _resume(arguments: argparse.Namespace) -> int:
     told = {"SCENARIO": arguments.scenario, "--actors": arguments.actors, "--seed": arguments.seed}
-    told["--run-dir"] = arguments.run_dir
+    told |= {"--run-dir": arguments.run_dir, "--record": arguments.record}
     if extra := [name for name, value in told.items() if value is not None]:
         raise UserError(
             f"--resume goes on with the settings in the run's folder; leave out {', '.join(extra)}"
@@ -52,18 +54,19 @@ def _resume(arguments: argparse.Namespace) -> int:
     settings = folder.settings()
     check_world(settings, origin=str(folder.path / "config.toml"))
     if folder.result():
-        print(f"the run {folder.shown} is completed already; its scores:\n")
+        print(f"the run {folder.shown} is completed already:\n")
         print_scores(folder)
         say_how_to_see_it(folder)
         return 0
-    address, choice = _address(arguments), _choice(arguments)
+    address, choice = _address(arguments, settings), _choice(arguments)
     with dashboard.ports_for(choice) or nullcontext() as ports:
         return _go(folder, settings, address, choice, ports)
 
 
-def _address(arguments: argparse.Namespace) -> Address:
+def _address(arguments: argparse.Namespace, settings: RunSettings) -> Address:
     """Where the router is to be. Raises `UserError`."""
-    return address_of(arguments.listen, certs=arguments.certs, plain=arguments.plain)
+    records = settings.recording.every_steps > 0
+    return address_of(arguments.listen, certs=arguments.certs, plain=arguments.plain, records=records)
 
 
 def _choice(arguments: argparse.Namespace) -> Choice:
@@ -84,7 +87,7 @@ def _go(
             launcher = Launcher(folder, settings, address, display_for(sys.stdout), ports)
             outcome = launcher.run(interrupts)
         if outcome.completed:
-            return _conclude(folder, outcome)
+            return _conclude(folder, settings, outcome)
     if outcome.sentence:
         print(f"babble up: {outcome.sentence}", file=sys.stderr, flush=True)
     print(f"stopped; go on with: babble up --resume {folder.shown}", flush=True)
@@ -112,11 +115,12 @@ def _report(folder: RunFolder, code: int, *, rollouts: bool) -> None:
         write_and_say(folder, rollouts=rollouts)
 
 
-def _conclude(folder: RunFolder, outcome: Outcome) -> int:
+def _conclude(folder: RunFolder, settings: RunSettings, outcome: Outcome) -> int:
     cpu_secs = {**outcome.cpu_secs, "launcher": time.process_time()}
     folder.finish({"scores_secs": round(outcome.scores_secs, 2), "cpu_secs": _rounded(cpu_secs)})
     print_scores(folder)
-    print(f"\n{outcome.scores_secs:.1f} s from the start of the processes to the scores")
+    last = "the last step" if settings.phases.open_loop else "the scores"
+    print(f"\n{outcome.scores_secs:.1f} s from the start of the processes to {last}")
     print("CPU seconds:", *cpu_table(cpu_secs), sep="\n")
     print("\nwriting the report (Ctrl-C leaves it out)", flush=True)
     _report(folder, outcome.code, rollouts=True)
@@ -137,6 +141,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--seed", type=at_least(0), metavar="S", help="seed of the run (default: the scenario's)"
+    )
+    parser.add_argument(
+        "--record",
+        type=at_least(1),
+        nargs="?",
+        const=1,
+        metavar="N",
+        help="record the state of each N-th environment step, 1 without N (default: the scenario's)",
     )
     parser.add_argument(
         "--run-dir",

@@ -18,6 +18,7 @@ from services.launcher.following import Follower
 from services.launcher.interrupts import Interrupts
 from services.launcher.members import Picture
 from services.launcher.reaching import add_reaching, reach
+from services.launcher.recorded import counts_words
 from services.launcher.records import Records
 from services.launcher.run_folder import RunFolder
 from services.launcher.timeline import timeline_of
@@ -60,10 +61,12 @@ def run(arguments: argparse.Namespace) -> int:
                 print("no longer watching; the run goes on", flush=True)
                 return 128 + interrupts.numbers[0]
         else:
-            print(f"the run {folder.shown} is completed already; its scores:\n")
+            print(f"the run {folder.shown} is completed already:\n")
         if folder is None:
             assert follower is not None, "only a folder says that a run is over"
             print_rows(follower.picture.scores, follower.best, "the run's scores.jsonl")
+            if words := counts_words(follower.picture.recorded()):
+                print(f"recorded: {words}, in the run's folder")
             return 0
         leaving = left_out_by(signal.SIGINT, signal.SIGTERM, folder=folder)
         with leaving if arguments.report else nullcontext():

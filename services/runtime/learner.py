@@ -28,7 +28,7 @@ from services.runtime.settings import RunSettings
 from services.runtime.sharing import claim, name_of
 from services.runtime.spool import Spool
 from services.runtime.status import Heart
-from services.runtime.work import Work, version_of
+from services.runtime.work import Work, share_of, version_of
 
 log = logging.getLogger(__name__)
 
@@ -254,8 +254,7 @@ class Learner:
             self._published[block] = offer.version
 
     def _answer(self, now_secs: float) -> None:
-        term = 0 if self._announced is None else self._announced.term
-        at_work = self._at_work()
+        at_work, term = self._at_work(), 0 if self._announced is None else self._announced.term
         for block, work in self._works.items():
             want, policy_floor = work.request()
             self._allotments[block].want(work.wanted_columns() if block in at_work else 0)
@@ -266,6 +265,7 @@ class Learner:
                 policy_floor=policy_floor,
                 want=want,
                 now_secs=now_secs,
+                progress=share_of(work),
             )
 
     def _checkpoint(self, now_secs: float) -> None:

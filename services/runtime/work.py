@@ -65,3 +65,11 @@ def version_of(work: Work) -> int:
     """The newest version that it offers; 0 before the first."""
     offer = work.model()
     return 0 if offer is None else offer.version
+
+
+def share_of(work: Work) -> float:
+    """How much of what it wants of actors in this term it holds, in [0, 1]; 0 if it wants nothing of them."""
+    progress = work.progress()
+    if progress is None or progress.unit == "updates":
+        return 0.0
+    return min(1.0, progress.done / max(1, progress.wanted))

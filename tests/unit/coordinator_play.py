@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from services.coordinator.machine import decide
-from services.coordinator.state import Plan, State
-from services.coordinator.table import DUTY, Phase
+from services.coordinator.state import Plan, State, duty_now
+from services.coordinator.table import Phase
 from services.coordinator.words import (
     Announce,
     BlockProgress,
@@ -17,6 +17,7 @@ from services.coordinator.words import (
 )
 
 FLAT = Plan(levels=(("body",),), iterations=(2,), stall_secs=60.0)
+OPEN = Plan(levels=(("body",),), iterations=(2,), stall_secs=60.0, open_loop=True, records=True)
 HAND = Plan(levels=(("thumb", "index"), ("hand",)), iterations=(1, 1), stall_secs=60.0)
 
 
@@ -49,15 +50,16 @@ def score(state: State, block: str, **changes: object) -> ScoreRow:
 
 def finishing(plan: Plan, state: State, life: str = "a", now: float = 1.0) -> StatusReported:
     """The responsible learner's word that all blocks are finished."""
-    learner = DUTY[state.phase].learner or "policy_learner"
+    learner = duty_now(plan, state).worker or "policy_learner"
     model = "encoder" if learner == "encoder_learner" else "policy"
     blocks = plan.levels[state.level]
+    versions = {} if learner == "recorder" else {f"{model}/{block}": 100 + state.term for block in blocks}
     return StatusReported(
         now=now,
         service=learner,
         life=life,
         term=state.term,
-        versions={f"{model}/{block}": 100 + state.term for block in blocks},
+        versions=versions,
         progress=tuple(
             BlockProgress(block=block, done=5, wanted=5, unit="steps", finished=True) for block in blocks
         ),

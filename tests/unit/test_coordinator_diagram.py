@@ -18,8 +18,10 @@ def test_the_diagram_shows_every_legal_move_and_no_other() -> None:
     assert drawn == {(phase.value, to.value) for phase, moves in NEXT.items() for to in moves}
 
 
-def test_every_phase_has_a_row_and_a_duty() -> None:
-    assert [line.split(" | ")[0] for line in table().splitlines()[2:]] == [
-        f"| {phase.value}" for phase in Phase
-    ]
+def test_every_phase_has_a_row_and_a_duty_and_what_is_otherwise_in_an_open_loop_is_beside_it() -> None:
+    rows = [line.strip("| ").split(" | ") for line in table().splitlines()[2:]]
+    assert [name for name, *_ in rows if "open loop" not in name] == [phase.value for phase in Phase]
     assert set(DUTY) == set(NEXT) == set(Phase)
+    babble = next(index for index, (name, *_) in enumerate(rows) if name == "babble")
+    assert [row[0] for row in rows[babble : babble + 2]] == ["babble", "babble (open loop)"]
+    assert [row[2] for row in rows[babble : babble + 2]] == ["encoder_learner", "recorder"]

@@ -29,7 +29,7 @@ from services.coordinator.words import (
     StopRequested,
     Ticked,
 )
-from tests.unit.coordinator_play import FLAT, HAND, finishing, play, run_through, score, walk_to
+from tests.unit.coordinator_play import FLAT, HAND, OPEN, finishing, play, run_through, score, walk_to
 
 
 def test_a_flat_run_goes_through_the_phases_of_the_thesis() -> None:
@@ -79,8 +79,7 @@ def test_done_ends_the_coordinator() -> None:
 
 
 def test_every_move_of_the_table_is_made_and_no_other() -> None:
-    said = [a.phase for a in run_through(HAND)]
-    made = set(pairwise(said))
+    made = {move for plan in (HAND, OPEN) for move in pairwise(a.phase for a in run_through(plan))}
     assert made == {(phase, to) for phase, moves in NEXT.items() for to in moves}
 
 

@@ -109,7 +109,7 @@ def test_a_process_without_blocks_on_this_level_is_no_substitute() -> None:
 
 def test_several_learners_that_wait_are_named_by_their_lives() -> None:
     state = replace(
-        STATE, phase=Phase.GROUND, members=TWO, learners_wait_for={"p1": "experience", "p2": "a rollout"}
+        STATE, phase=Phase.GROUND, members=TWO, workers_wait_for={"p1": "experience", "p2": "a rollout"}
     )
     assert (
         "p1 says it is waiting for experience; p2 says it is waiting for a rollout; 1 actor alive"
@@ -144,7 +144,7 @@ def test_a_stall_names_who_waits_for_whom() -> None:
         iteration=1,
         progress_at_secs=100.0,
         progress=progress(1200),
-        learners_wait_for={"e1": "experience of body", "e0": "its predecessor"},
+        workers_wait_for={"e1": "experience of body", "e0": "its predecessor"},
     )
     assert stalled(PLAN, state, 165.0) == (
         "no progress for 65 s in walk (level 0, iteration 1, term 5): the coordinator is waiting for "

@@ -23,12 +23,15 @@ class FakeChild:
 class Stage:
     """A supervisor of a router, a coordinator and actors, and what it has started."""
 
-    def __init__(self, folder: Path, actors: int = 1, *, dashboard: bool = False) -> None:
+    def __init__(
+        self, folder: Path, actors: int = 1, *, dashboard: bool = False, recorder: bool = False
+    ) -> None:
         self.children: dict[str, list[FakeChild]] = {}
         self.folder = folder
         parts = [self._part("router", outlasts=True), self._part("coordinator", leads=True)]
         parts += [self._part(f"actor-{i}", expendable=True) for i in range(actors)]
         parts += [self._part("dashboard", optional=True)] if dashboard else []
+        parts += [self._part("recorder", must_finish=True)] if recorder else []
         self.supervisor = Supervisor(parts, self._start)
         self.supervisor.poll(0.0, done=False)
 
@@ -210,3 +213,39 @@ def test_a_dashboard_that_hangs_does_not_hold_up_the_end_and_is_killed(tmp_path:
     assert stage.children["router"][0].signals == []
     stage.end("dashboard", -9, 2.0, done=True)
     assert stage.supervisor.alone()
+
+
+def test_a_recorder_that_died_after_the_run_finishes_its_work_and_so_does_who_tells_it_of_the_end(
+    tmp_path: Path,
+) -> None:
+    stage = Stage(tmp_path, recorder=True)
+    stage.end("actor-0", 0, 1.0, done=True)
+    stage.end("coordinator", 0, 1.0, done=True)
+    assert not stage.supervisor.finished()
+    stage.end("recorder", -9, 2.0, done=True)
+    assert not stage.supervisor.finished()
+    stage.supervisor.poll(9.0, done=True)
+    assert {name: stage.lives(name) for name in stage.children} == {
+        "router": 1, "coordinator": 2, "actor-0": 1, "recorder": 2,
+    }  # fmt: skip
+    assert stage.supervisor.unfinished() == ["recorder"]
+    stage.end("recorder", 0, 10.0, done=True)
+    assert stage.supervisor.unfinished() == []
+
+
+def test_a_recorder_that_is_stopped_after_the_run_has_not_finished(tmp_path: Path) -> None:
+    stage = Stage(tmp_path, recorder=True)
+    stage.supervisor.stop(signal.SIGTERM)
+    stage.end("recorder", 0, 1.0, done=True)
+    stage.supervisor.poll(9.0, done=True)
+    assert stage.lives("recorder") == 1
+    assert stage.supervisor.unfinished() == ["recorder"]
+
+
+def test_the_run_does_not_go_on_without_a_recorder_that_keeps_dying(tmp_path: Path) -> None:
+    stage = Stage(tmp_path, recorder=True)
+    for death in range(5):
+        stage.end("recorder", 1, 6.0 * death)
+        stage.supervisor.poll(6.0 * death + 5.0, done=False)
+    assert stage.supervisor.fatal is not None
+    assert stage.supervisor.fatal.startswith("recorder failed with code 1 for the 5th time")
