@@ -10,7 +10,7 @@ from pathlib import Path
 
 os.environ["OMP_NUM_THREADS"] = "1"
 
-from bench import actor, dashboard, end_to_end, footprint, physics, touch, tree, vision
+from bench import actor, coverage, dashboard, end_to_end, footprint, physics, recorded, touch, tree, vision
 from bench.bytecode import compiled
 from bench.tables import Table
 
@@ -19,6 +19,10 @@ BENCHMARKS: Mapping[str, tuple[Measure, Measure]] = {
     "actor": (
         lambda _: actor.measure(),
         lambda _: actor.measure(steps=4096, repetitions=2, process_secs=2.0),
+    ),
+    "coverage": (
+        lambda _: coverage.measure(),
+        lambda _: coverage.measure(rows=20_000),
     ),
     "dashboard": (
         lambda _: dashboard.measure(),
@@ -35,6 +39,10 @@ BENCHMARKS: Mapping[str, tuple[Measure, Measure]] = {
     "physics": (
         lambda _: physics.measure(),
         lambda _: physics.measure(steps=20, repetitions=1),
+    ),
+    "recorded": (
+        lambda _: recorded.measure(),
+        lambda _: recorded.measure(steps=4096, raw_steps=64, repetitions=1, conditions=("C5", "C1")),
     ),
     "touch": (
         touch.measure,

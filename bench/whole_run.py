@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from babble.recording import Recording
 from bench.processes import Child, router, service, wait_for_line
 from bench.scene import write_run_folder
 from services.runtime.settings import RunSettings
@@ -34,6 +35,13 @@ class WholeRun:
     phase_cpu_secs: Mapping[str, Mapping[str, float]]
     """By process and phase; `start` until the process is ready (samples every 20 ms, in steps of 10 ms)."""
     peak_mb: Mapping[str, float]
+    recorded_steps: int
+    """Environment steps in the recording, 0 without one."""
+
+    @property
+    def working_cpu_secs(self) -> float:
+        """CPU time of all processes in all phases, their starts not counted."""
+        return sum(by_phase[phase] for by_phase in self.phase_cpu_secs.values() for phase in PHASES)
 
     @property
     def training_secs(self) -> float:
@@ -53,8 +61,7 @@ def whole_run(settings: RunSettings) -> WholeRun:
         write_run_folder(folder, settings)
         began = time.time()
         with router(folder) as (endpoint, router_child):
-            names = ["coordinator", "encoder_learner", "policy_learner"]
-            started = [service(name, folder, endpoint) for name in names]
+            started = [service(name, folder, endpoint) for name in _services(settings)]
             started += [service("actor", folder, endpoint, index=i) for i in range(settings.actors.count)]
             children = [router_child, *started]
             try:
@@ -74,7 +81,19 @@ def whole_run(settings: RunSettings) -> WholeRun:
                 for child in children
             },
             peak_mb=peaks,
+            recorded_steps=_recorded_steps(folder, settings),
         )
+
+
+def _services(settings: RunSettings) -> list[str]:
+    """Those of which there is one."""
+    learners = [] if settings.phases.open_loop else ["encoder_learner", "policy_learner"]
+    return ["coordinator", *learners, *(["recorder"] if settings.recording.every_steps else [])]
+
+
+def _recorded_steps(folder: Path, settings: RunSettings) -> int:
+    every_steps = settings.recording.every_steps
+    return Recording.open(folder).rows * every_steps if every_steps else 0
 
 
 Samples = list[tuple[float, dict[str, float]]]
