@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def measured(folder: RunFolder, *, steps: int | None, seed: int) -> tuple[Coverage, int]:
-    """The coverage of a run's recorded states, and each so manieth step is one. Raises `UserError`."""
+    """The coverage of a run's recorded states, and the steps from one to the next. Raises `UserError`."""
     try:
         recording = Recording.open(folder.path)
         rows = None if steps is None else steps // recording.every_steps

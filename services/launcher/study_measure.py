@@ -38,7 +38,7 @@ def measure(run_dir: Path, *, rows: int, curve: Sequence[int]) -> Measurement:
     """
     began_secs = time.monotonic()
     folder = RunFolder.find(str(run_dir))
-    recording, audit, states = _recorded(folder, rows)
+    audit, states, names = _read(folder, rows)
     try:
         measured = coverage_curve(states, curve, seed=SEED)
         log_ratios, ranks = drawn_ratios(states)
@@ -60,7 +60,7 @@ def measure(run_dir: Path, *, rows: int, curve: Sequence[int]) -> Measurement:
         log_ratios=log_ratios,
         ranks=ranks,
         furthest=(one, other),
-        state_names=tuple(recording.state_names),
+        state_names=names,
         trained_secs=round(timeline_of(Records(folder.path / "events.jsonl")).end_secs, 1),
         cpu_secs=round(sum(result.get("cpu_secs", {}).values()), 1),
         states_bytes=sum(file.stat().st_size for file in (folder.path / STATES).rglob("*.parquet")),
@@ -81,6 +81,21 @@ def _recorded(folder: RunFolder, rows: int) -> tuple[Recording, Audit, NDArray[n
     if len(states) < rows:
         raise UserError(f"{folder.shown} has {len(states):,} rows, and {rows:,} are to be measured")
     return recording, audit, states
+
+
+def _read(folder: RunFolder, rows: int) -> tuple[Audit, NDArray[np.float32], tuple[str, ...]]:
+    """What there is, the first `rows` states, and their names. Raises `UserError`."""
+    try:
+        recording = Recording.open(folder.path)
+        audit = recording.audit()
+        if audit.duplicates:
+            raise UserError(f"{folder.shown} has {audit.duplicates:,} rows twice, so it is not measured")
+        states = recording.states(most_rows=rows)
+    except RecordingError as error:
+        raise UserError(str(error)) from None
+    if len(states) < rows:
+        raise UserError(f"{folder.shown} has {len(states):,} rows, and {rows:,} are to be measured")
+    return audit, states, tuple(recording.state_names)
 
 
 def drawn_ratios(
