@@ -12,7 +12,7 @@ def insertion_distances(states: Floats, middle: Floats, centres: int) -> Doubles
 
     The first centre is the row nearest to `middle` (s,); the mean makes the distances independent of
     the order of the rows. After j centres every row is within the j-th distance of one of them, and no
-    choice of j centres can halve that. Fewer distinct rows than centres end in zeros.
+    choice of j centres does better than half of it. Fewer distinct rows than centres end in zeros.
 
     Exact, but most rows are never compared with most centres: a row's distance to the first centre is
     an upper bound of its distance to the nearest, so only rows whose bound reaches the largest

@@ -44,7 +44,7 @@ def scenario_settings(
 ) -> RunSettings:
     """The whole settings of a run, with its world and tree of blocks tried out. Raises `SettingsError`.
 
-    `record`: each so manieth environment step is recorded.
+    `record`: each `record`-th environment step is recorded.
     """
     path = scenario_path(scenario)
     settings = load(path) if seed is None else load(path, seed=seed)

@@ -62,7 +62,7 @@ def _recorded(folder: Path, shown: str) -> list[str]:
     read = " or ".join(
         (
             f'`pandas.read_parquet("{shown}/{STATES}")`',
-            f'`polars.read_parquet("{shown}/{STATES}/**/*.parquet")`',
+            f'`polars.read_parquet("{shown}/{STATES}/**/*.parquet", hive_partitioning=True)`',
         )
     )
     return [

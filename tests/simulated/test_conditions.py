@@ -20,7 +20,6 @@ TWO_FITS: dict[str, Any] = TINY["encoder"]  # type: ignore[assignment]
 C2 = {"encoder": TWO_FITS | {"contrastive": False, "blend": 0.5}}
 C3 = {"encoder": TWO_FITS | {"output": "linear"}}
 C4 = {"goals": {"kind": "random", "period_steps": 10, "walk_steps_per_goal": 10}}
-BABY = {"babbling": {"kind": "coloured", "scale": 1.0, "block_steps": 32}}
 
 
 def settings_of(change: dict[str, Any]) -> RunSettings:
@@ -84,6 +83,12 @@ def test_without_one_hot_goals_policies_learn_from_points_inside_the_simplex(
     assert all(np.isin(s.arrays["goal"], (0, 1)).all() for s in measured), "vertices, by their indices"
 
 
-def test_a_run_babbles_in_colour(simulate: Simulate) -> None:
-    simulation = finished(simulate, BABY)
-    assert simulation.segments(Phase.BABBLE)
+@pytest.mark.parametrize(("exponent", "least", "most"), [(0.0, -0.3, 0.3), (2.0, 0.6, 1.0)])
+def test_a_run_babbles_in_colour(simulate: Simulate, exponent: float, least: float, most: float) -> None:
+    table = {"kind": "coloured", "scale": 0.1, "block_steps": 64, "exponents": [exponent, exponent]}
+    simulation = finished(simulate, {"babbling": table})
+    moves = [np.diff(s.arrays["observation"], axis=0) for s in simulation.segments(Phase.BABBLE)]
+    before, after = (
+        np.concatenate([move[part].ravel() for move in moves]) for part in (slice(-1), slice(1, None))
+    )
+    assert least < np.corrcoef(before, after)[0, 1] < most, "how alike two moves are that follow each other"

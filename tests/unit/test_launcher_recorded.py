@@ -131,5 +131,6 @@ def test_what_is_read_back_is_what_polars_reads_by_the_line_in_the_report(tmp_pa
     line = next(
         part for part in write_report(folder.path).read_text().split("`") if part.startswith("polars")
     )
-    pattern = line.removeprefix('polars.read_parquet("').removesuffix('")')
-    assert polars.read_parquet(pattern).height == 3
+    pattern, option = line.removeprefix('polars.read_parquet("').split('", ')
+    assert option == "hive_partitioning=True)"
+    assert polars.read_parquet(pattern, hive_partitioning=True)["phase"].to_list() == ["babble"] * 3
