@@ -48,6 +48,18 @@ class _Part:
     rows: int
 
 
+@dataclass
+class _Stay:
+    """One life in one term: its part of the rows in the files' order, and its steps."""
+
+    begin: int
+    end: int
+    low: int
+    high: int
+    offset: int = 0
+    """steps of the term before its first one"""
+
+
 class Recording:
     """The files that are there now; a run that goes on adds others."""
 
@@ -80,7 +92,7 @@ class Recording:
     def states(
         self, *, most_rows: int | None = None, phases: Collection[str] | None = None
     ) -> NDArray[np.float32]:
-        """(N, s) the states in the order of (term, step, actor, column), or the first `most_rows` of them.
+        """(N, s) the states in the order of (term, step in it, actor, column), or the first `most_rows`.
 
         `phases` None: all but "evaluate". In memory is one copy, besides a row group and 60 bytes a row.
         Raises `RecordingError` for a file that cannot be read, ValueError for `most_rows` below 0.
@@ -149,8 +161,9 @@ class Recording:
         return [p for p in self._parts if (p.phase != EVALUATE if phases is None else p.phase in phases)]
 
     def _order(self, parts: Sequence[_Part]) -> NDArray[np.int64]:
-        """(N,) the rows as the files have them, in their order of (term, step, actor, column)."""
+        """(N,) the rows as the files have them, in their order of (term, step in it, actor, column)."""
         keys = self._keys(parts)
+        keys["step"] = _steps_in_term(keys["term"], keys["actor"], keys["step"], self.every_steps)
         return np.lexsort([keys[name] for name in reversed(_KEYS)])
 
     def _keys(self, parts: Sequence[_Part]) -> dict[str, Any]:
@@ -176,6 +189,36 @@ class Recording:
 
 def _joined(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
     return np.concatenate(arrays) if arrays else np.empty(0, np.int64)
+
+
+def _steps_in_term(
+    term: NDArray[Any], actor: NDArray[Any], step: NDArray[np.int64], every_steps: int
+) -> NDArray[np.int64]:
+    """(N,) each row's step, counted from the beginning of its term, of rows in the files' order.
+
+    A life counts from its own first step in the term. But one that is new there goes on after those that
+    ended there before it came: of a run that is resumed, the rows before come first.
+    """
+    if not len(step):
+        return step
+    edges = np.flatnonzero((np.diff(term) != 0) | (np.diff(actor) != 0)) + 1
+    begins = np.concatenate([[0], edges])
+    lows, highs = np.minimum.reduceat(step, begins), np.maximum.reduceat(step, begins)
+    of_run = list(zip(term[begins].tolist(), actor[begins].tolist(), strict=True))
+    terms: dict[int, dict[int, _Stay]] = {}
+    for number, ((at, life), low, high) in enumerate(zip(of_run, lows.tolist(), highs.tolist(), strict=True)):
+        stay = terms.setdefault(at, {}).setdefault(life, _Stay(number, number, low, high))
+        stay.end, stay.low, stay.high = number, min(stay.low, low), max(stay.high, high)
+    first = {life: min(at for at, stays in terms.items() if life in stays) for _, life in set(of_run)}
+    last = {life: max(at for at, stays in terms.items() if life in stays) for _, life in set(of_run)}
+    for at, stays in terms.items():
+        ended = [stay for life, stay in stays.items() if last[life] == at]
+        for stay in (stay for life, stay in stays.items() if first[life] == at):
+            before = [other for other in ended if other.end < stay.begin]
+            lengths = (other.offset + other.high - other.low + every_steps for other in before)
+            stay.offset = max(lengths, default=0)
+    shifts = np.array([terms[at][life].offset - terms[at][life].low for at, life in of_run], np.int64)
+    return step + np.repeat(shifts, np.diff([*begins, len(step)]))
 
 
 def _opened(path: Path) -> tuple[_Part, Mapping[str, Any]]:

@@ -24,7 +24,7 @@ def with_polars(run: Path) -> polars.DataFrame:
     return states.group_by("actor").agg(first=polars.min("step"), last=polars.max("step")).sort("actor")
 
 
-def with_duckdb(run: Path) -> list[tuple[str, float]]:
+def with_duckdb(run: Path) -> list[tuple[str, float | None]]:
     """The reward for nearing the goal, of the first block, by phase; None where it acted without a goal."""
     duckdb.sql(f"create or replace view states as select * from '{run}/states/**/*.parquet'")
     reward = next(name for name in duckdb.sql("select * from states").columns if name.startswith("reward/"))

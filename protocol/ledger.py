@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from protocol.messages import MAX_ENTRIES
+from protocol.messages import MAX_COUNT, MAX_ENTRIES
 from protocol.refusal import Reason, Refused
 
 
@@ -65,8 +65,11 @@ class Ledger:
 
     @property
     def lost(self) -> int:
-        """Segments known to exist of lives that are gone, never taken; falls if such a life comes back."""
-        return self._lost_before + sum(self._missing(life) for life in self._gone)
+        """Segments known to exist of lives that are gone, never taken; falls if such a life comes back.
+
+        At most `MAX_COUNT`, whatever numbers a sender made up.
+        """
+        return min(MAX_COUNT, self._lost_before + sum(self._missing(life) for life in self._gone))
 
     def upto(self, life: str, block: str) -> int:
         """All segments of the stream below this number were taken; 0 for an unknown stream."""

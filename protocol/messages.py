@@ -16,7 +16,9 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, StringConstr
 NAME_PATTERN = "[a-z0-9][a-z0-9_-]{0,63}"
 Name = Annotated[str, StringConstraints(pattern=f"^{NAME_PATTERN}$")]
 """A run, block, life or consumer: it becomes one chunk of a key expression."""
-Count = Annotated[int, Field(ge=0, le=2**53)]
+MAX_COUNT = 2**53
+"""What a count may be; exact in every language's numbers."""
+Count = Annotated[int, Field(ge=0, le=MAX_COUNT)]
 Text = Annotated[str, StringConstraints(max_length=2000)]
 Label = Annotated[str, StringConstraints(max_length=200)]
 """The name of a total, a metric, a version or a reason."""

@@ -197,8 +197,14 @@ class Actor:
         sent = self._rows_are_sent(now_secs)
         if self._flush_until_secs is None:
             self._flush_until_secs = now_secs + FLUSH_SECS
-        safe = sent and not self._outbox.unrecorded
-        return safe or self._stopping or now_secs >= self._flush_until_secs
+        if (sent and not self._outbox.unrecorded) or self._stopping:
+            return True
+        late = now_secs >= self._flush_until_secs
+        if late:
+            log.warning(
+                "no recorder has acknowledged the last rows within %.0f s; they may be missing", FLUSH_SECS
+            )
+        return late
 
     def _may_begin(self, announced: PhaseAnnounced) -> bool:
         """True if some block's next segment is granted and the models of all that act are recent enough.

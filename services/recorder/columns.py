@@ -14,6 +14,8 @@ from protocol.messages import Segment
 from services.recorder.config import BlockColumns, RecorderConfig
 
 NAMES = pa.dictionary(pa.int32(), pa.string())
+MOST = {"term": 2**31 - 1, "level": 2**7 - 1, "iteration": 2**15 - 1, "columns": 2**15}
+"""What the data set's columns have room for; no run has more."""
 Floats = NDArray[np.float32]
 
 
@@ -48,7 +50,13 @@ def schema_of(config: RecorderConfig) -> pa.Schema:
 
 
 def check(segment: Segment, config: RecorderConfig) -> None:
-    """Raises ValueError for a segment whose arrays are not those of the run's world and blocks."""
+    """Raises ValueError for a segment whose arrays are not those of the run's world and blocks.
+
+    Also for one whose numbers fit into no column: it lies in the spool, so it would end every restart too.
+    """
+    for what, most in MOST.items():
+        if getattr(segment, what) > most:
+            raise ValueError(f"its {what} is {getattr(segment, what):,}, more than {most:,}")
     states, wanted = segment.arrays["state"].shape[-1], len(config.state_names)
     if states != wanted:
         raise ValueError(f"its states have {states} components, and those of the world {wanted}")

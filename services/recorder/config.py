@@ -27,7 +27,7 @@ class RecorderConfig:
     scenario: str
     seed: int
     every_steps: int
-    """each so manieth environment step is a row"""
+    """a row for every n-th environment step"""
     group_rows: int
     """so many rows, and at most one segment's more, are held before they become files"""
     state_names: tuple[str, ...]

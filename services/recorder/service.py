@@ -119,11 +119,15 @@ class Recorder:
             self._done_secs = now_secs
 
     def _over(self, now_secs: float) -> bool:
-        """True once the run is done and nobody has anything more to say, or for too long."""
+        """True once the run is done and nobody has anything more to say, or for too long.
+
+        While the own link is down, nobody knows who is still there.
+        """
         if self._done_secs is None:
             return False
         waited_secs = now_secs - self._done_secs
-        silent = not self._intake.present and not self._intake.queue_depth and waited_secs >= SETTLE_SECS
+        gone = not self._intake.present and self._context.bus.linked()
+        silent = gone and not self._intake.queue_depth and waited_secs >= SETTLE_SECS
         return silent or waited_secs >= FAREWELL_SECS
 
     def _collect(self, now_secs: float) -> bool:

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping
 from typing import Any
 
-from protocol.messages import Segment
+from protocol.messages import MAX_COUNT, Segment
 
 
 class Tally:
@@ -18,7 +18,7 @@ class Tally:
         """By term: environment steps of all columns together."""
         self.rows = 0
         self.gaps = 0
-        """Rows that were never sent, by the steps of their neighbours."""
+        """Rows that were never sent, by the steps of their neighbours; at most `MAX_COUNT`."""
         self.unusable = 0
         """Segments that could not be recorded."""
 
@@ -29,7 +29,7 @@ class Tally:
             raise ValueError(f"it begins at step {segment.first_step}, and {expected} is the next one")
         missing = (segment.first_step - expected) // self._every_steps
         self._next_step[segment.life] = segment.first_step + segment.steps * self._every_steps
-        self.gaps += missing * segment.columns
+        self.gaps = min(MAX_COUNT, self.gaps + missing * segment.columns)
         self.rows += segment.steps * segment.columns
         self._steps[segment.term] += segment.steps * segment.columns * self._every_steps
 

@@ -216,8 +216,8 @@ class EvaluationSettings(Section):
 class RecordingSettings(Section):
     """What `services/recorder` writes of every actor's steps into the run's folder."""
 
-    every_steps: Annotated[int, Field(ge=0)] = 0
-    """each so manieth environment step is a row of the data set; 0 for no recording"""
+    every_steps: Annotated[int, Field(ge=0, le=1 << 20)] = 0
+    """a row of the data set for every n-th environment step; 0 for no recording"""
     group_rows: Annotated[int, Field(ge=1024, le=1 << 22)] = 65_536
     """rows in one file of the data set"""
 

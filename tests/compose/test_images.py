@@ -8,7 +8,7 @@ from tests.compose.projects import IMAGES, docker
 
 ACTOR_MB = 220
 """Above its base. The official python:3.11-slim-bookworm has about 130 MB, so that it stays under 350."""
-ALL = ("core", "actor", "dashboard", "learner", "tools")
+ALL = ("core", "actor", "dashboard", "learner", "recorder", "tools")
 UNCOMPILED = """
 import sys, {modules}
 from pathlib import Path
@@ -42,9 +42,10 @@ def test_the_actors_image_is_small_and_router_and_coordinator_have_a_smaller_one
     sizes = {image: size_mb(f"{IMAGES}-{image}") - base for image in ALL}
     assert sizes["actor"] <= ACTOR_MB, sizes
     assert sizes["core"] < sizes["actor"] < sizes["tools"] < sizes["learner"], sizes
+    assert sizes["core"] < sizes["recorder"] < sizes["learner"], sizes
 
 
-@pytest.mark.parametrize("image", ["core", "actor", "dashboard", "tools"])
+@pytest.mark.parametrize("image", ["core", "actor", "dashboard", "recorder", "tools"])
 def test_only_learners_have_torch(image: str) -> None:
     assert in_image(image, "import importlib.util as u; print(u.find_spec('torch'))") == "None"
 
@@ -56,6 +57,7 @@ def test_only_learners_have_torch(image: str) -> None:
         ("actor", "services.actor.service, babble.worlds"),
         ("dashboard", "services.dashboard.service"),
         ("learner", "services.encoder_learner.service, services.policy_learner.service"),
+        ("recorder", "services.recorder.service, babble.worlds"),
         ("tools", "services.launcher.report, services.launcher.evaluate"),
     ],
 )

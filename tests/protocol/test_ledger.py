@@ -74,6 +74,14 @@ def test_a_refusal_names_both_numbers():
     assert str(refusal) == "segment 5 of a/b came where 1 is expected"
 
 
+def test_what_a_gone_sender_made_up_is_lost_within_what_a_status_can_say():
+    ledger = Ledger()
+    for life in ("a-1", "a-2"):
+        ledger.refuse(life, "body", 2**53)
+        ledger.forget(life)
+    assert ledger.lost == 2**53
+
+
 def test_a_gap_counts_as_lost_only_when_its_sender_is_gone_for_good():
     ledger = Ledger()
     hear(ledger, "a", "b", 0)

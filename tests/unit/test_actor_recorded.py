@@ -228,13 +228,19 @@ def test_at_the_end_the_last_rows_are_sent_and_the_actor_goes_once_they_are_safe
     assert stage.total["recorded_rows"] == stage.total["env_steps"]
 
 
-def test_at_the_end_a_recorder_that_is_gone_is_waited_for_so_long_and_no_longer() -> None:
+def test_at_the_end_a_recorder_that_is_gone_is_waited_for_so_long_and_no_longer(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     stage = _with_open_rows()
     stage.announce(Phase.DONE)
     began_secs = stage.clock.now_secs()
     while stage.poll() is not None:
         assert stage.clock.now_secs() < began_secs + 10
     assert FLUSH_SECS <= stage.clock.now_secs() - began_secs < FLUSH_SECS + 1
+    assert (
+        caplog.messages.count("no recorder has acknowledged the last rows within 5 s; they may be missing")
+        == 1
+    )
 
 
 def test_one_that_is_told_to_stop_sends_its_rows_and_goes_at_once() -> None:

@@ -174,6 +174,27 @@ def test_what_cannot_be_recorded_is_counted_with_a_sentence(
     assert Recording.open(tmp_path).rows == ROWS
 
 
+def test_numbers_that_fit_into_no_column_do_not_end_the_recorder_nor_its_restart(tmp_path: Path) -> None:
+    stage = started(settings_of(), tmp_path)
+    shape = (2, 2**15 + 1)
+    many = {"state": np.zeros((*shape, 3), np.float32), "episode": np.zeros(shape, np.int32)}
+    stage.actors[0].send(Phase.BABBLE, 2**53)
+    stage.actors[0].send(Phase.BABBLE, 1, level=128)
+    stage.actors[0].send(Phase.BABBLE, 1, iteration=2**15)
+    stage.actors[0].send(Phase.BABBLE, 1, steps=shape[0], columns=shape[1], arrays=many)
+    stage.actors[0].send(Phase.BABBLE, 1, first_step=2**53)
+    stage.poll(6)
+    assert "its columns is 32,769, more than 32,768" in stage.status(LIFE).last_error
+    stage.crash(LIFE)
+    stage.start("recorder-2")
+    stage.poll(6)
+    totals = stage.status("recorder-2").totals
+    assert (totals["rows"], totals["unusable"], totals["gaps"]) == (ROWS, 4, 2**53)
+    stage.services["recorder-2"].stop()
+    stage.poll(1)
+    assert Recording.open(tmp_path).rows == ROWS
+
+
 def test_segments_sent_twice_or_too_early_are_counted_and_not_recorded(tmp_path: Path) -> None:
     stage = started(settings_of(), tmp_path)
     (actor,) = stage.actors
@@ -201,6 +222,21 @@ def test_at_the_end_it_waits_for_the_last_rows_of_the_actors_that_are_there(tmp_
     actor.leave()
     assert recorder.poll(stage.clock.now_secs()) is None
     assert Recording.open(tmp_path).rows == ROWS
+
+
+def test_at_the_end_a_lost_link_is_not_taken_for_actors_that_have_gone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stage = started(settings_of(), tmp_path)
+    recorder, (actor,) = stage.services.pop(LIFE), stage.actors
+    monkeypatch.setattr(type(stage.hub.connect("probe")), "linked", lambda bus: False)
+    actor.leave()
+    stage.announce(Phase.DONE, 2, [])
+    for _ in range(8):
+        assert recorder.poll(stage.clock.now_secs()) is not None
+        stage.clock.advance(0.25)
+    monkeypatch.undo()
+    assert recorder.poll(stage.clock.now_secs()) is None
 
 
 def test_an_actor_that_never_leaves_is_not_waited_for_without_end(tmp_path: Path) -> None:

@@ -35,13 +35,14 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_states_come_in_the_order_of_term_step_actor_and_column(run: Path) -> None:
+def test_states_come_in_the_order_of_term_step_in_it_actor_and_column(run: Path) -> None:
     recording = Recording.open(run)
     states = recording.states()
     terms = recording.table(["term"]).column("term").to_numpy()
     assert len(states) == 13 * ROWS
     actor, column, step = states.T
-    assert np.array_equal(np.lexsort((column, actor, step, terms)), np.arange(len(states)))
+    first = np.where(terms == 1, 0, np.where(actor == 1, 7 * STEPS, 3 * STEPS))
+    assert np.array_equal(np.lexsort((column, actor, step - first, terms)), np.arange(len(states)))
     assert states.dtype == np.float32
     assert states.flags["C_CONTIGUOUS"]
 
@@ -56,6 +57,30 @@ def test_the_first_rows_are_those_of_the_first_steps(run: Path) -> None:
     assert recording.states(most_rows=0).shape == (0, 3)
     with pytest.raises(ValueError, match="most_rows must be at least 0, got -1"):
         recording.states(most_rows=-1)
+
+
+def test_of_a_run_that_is_resumed_in_a_term_the_rows_before_come_first(tmp_path: Path) -> None:
+    stage = RecorderStage(settings_of(), tmp_path)
+    one, other = stage.actor(1), stage.actor(2)
+    stage.start(LIFE)
+    stage.announce(Phase.BABBLE, 1, ["body"])
+    for term, sender in ((1, one), (2, one), (2, other), (2, one), (2, other)):
+        sender.send(Phase.PRACTISE, term)
+    stage.poll(2)
+    third, fourth = stage.actor(3), stage.actor(4)
+    for term, sender in ((2, third), (2, fourth), (2, third), (3, fourth), (3, third)):
+        sender.send(Phase.PRACTISE, term)
+    stage.poll(2)
+    stage.services[LIFE].stop()
+    stage.poll(1)
+    actor, column, step = Recording.open(tmp_path).states().T
+    assert (column[:COLUMNS] == np.arange(COLUMNS)).all()
+    each = [(int(a), int(s)) for a, s in zip(actor[::COLUMNS], step[::COLUMNS], strict=True)]
+    before = [(1, s) for s in range(STEPS)]
+    before += [(a, s + (STEPS if a == 1 else 0)) for s in range(2 * STEPS) for a in (1, 2)]
+    after = [(a, s) for s in range(STEPS) for a in (3, 4)] + [(3, s) for s in range(STEPS, 2 * STEPS)]
+    after += [(a, s + (2 if a == 3 else 1) * STEPS) for s in range(STEPS) for a in (3, 4)]
+    assert each == before + after
 
 
 def test_evaluations_are_left_out_unless_asked_for(run: Path) -> None:
