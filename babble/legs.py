@@ -72,6 +72,8 @@ class Legs:
     external_reward: NDArray[Any] | None = None
     """(L, E) the task's own reward, the mean over the second half of each leg's steps: in the first
     half the body is still on its way from the vertex before; None where there is no task"""
+    side: NDArray[Any] | None = None
+    """(L, E) the side the whole body lay on, see `World.side`; None where sides do not count"""
 
 
 @dataclass
@@ -142,6 +144,7 @@ class Walk:
         if not self.done:
             raise RuntimeError("the legs are known once the walk is done")
         rewards = np.stack(self._rewards) if self._world.rewarded else None
+        sides = np.stack(self._sides) if self._sides else None
         return {
             block: Legs(
                 posture=np.stack(self._postures),
@@ -149,6 +152,7 @@ class Walk:
                 goal=np.stack([goal for _, goal in ends]),
                 start_posture=self._start,
                 external_reward=rewards,
+                side=sides,
             )
             for block, ends in self._ends.items()
         }
@@ -164,6 +168,7 @@ class Walk:
         self._reward = np.zeros(self._world.columns, np.float32)
         self._postures: list[Floats] = []
         self._rewards: list[Floats] = []
+        self._sides: list[Floats] = []
         self._ends: dict[str, list[tuple[Floats, NDArray[np.int32]]]] = {b: [] for b in self._walkers}
         self._seen: dict[str, Seen | None] = {}
         self._witness.begun(np.ones(self._world.columns, np.bool_))
@@ -219,6 +224,8 @@ class Walk:
 
     def _arrive(self, step: Step) -> None:
         self._postures.append(self._world.posture())
+        if (side := self._world.side()) is not None:
+            self._sides.append(side)
         self._rewards.append(self._reward / np.float32(self._leg_steps - self._leg_steps // 2))
         self._reward, self._in_leg = np.zeros_like(self._reward), 0
         for block, latent in self._latents(step.observation).items():

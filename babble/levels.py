@@ -135,6 +135,11 @@ class LevelWorld:
         posture = self.body.posture()
         return posture if self._ended is None else self._ended.left(posture)
 
+    def side(self) -> Floats | None:
+        """(E,) of the body; where the last step ended an episode, what it was then."""
+        side = self.body.side()
+        return side if side is None or self._ended is None else self._ended.lain(side)
+
     def state(self) -> Floats:
         """(E, s) of the body, now."""
         return self.body.state()
@@ -197,6 +202,7 @@ class _Story:
         self._total = np.zeros(columns, np.float32)
         self._steps = np.zeros(columns, np.float32)
         self._ends = self._postures = np.zeros((columns, 0), np.float32)
+        self._sides = np.zeros(columns, np.float32)
 
     @property
     def ended(self) -> Flags:
@@ -215,6 +221,8 @@ class _Story:
             if not self._ends.size:
                 self._ends, self._postures = step.observation.copy(), posture.copy()
             self._ends[newly], self._postures[newly] = step.observation[newly], posture[newly]
+            if (side := body.side()) is not None:
+                self._sides[newly] = side[newly]
         self.terminated = self.terminated | (step.terminated & going)
         self.truncated = self.truncated | (step.truncated & going)
         return np.asarray(over)
@@ -226,6 +234,10 @@ class _Story:
     def left(self, posture: Floats) -> Floats:
         """The posture (E, p), with that at the end of each episode that ended."""
         return np.where(self.ended[:, None], self._postures, posture).astype(np.float32)
+
+    def lain(self, side: Floats) -> Floats:
+        """The side (E,), with that at the end of each episode that ended."""
+        return np.where(self.ended, self._sides, side).astype(np.float32)
 
     def reward(self) -> Floats:
         """(E,) the mean per environment step."""

@@ -23,24 +23,28 @@ class Part:
     crossing_axis: int | None
     """the world's, where the part has it"""
     landmarks: tuple[Landmark, ...]
+    turns: bool = False
+    """whether it is the block's affair which side the whole body lies on"""
 
     def cut(self, legs: Legs) -> Legs:
-        """The legs with postures (L, E, q) of the part alone."""
+        """The legs with postures (L, E, q) of the part alone, and with sides where they are its affair."""
         start = None if legs.start_posture is None else legs.start_posture[..., self.components]
-        return replace(legs, posture=legs.posture[..., self.components], start_posture=start)
+        side = legs.side if self.turns else None
+        return replace(legs, posture=legs.posture[..., self.components], start_posture=start, side=side)
 
 
 def part_of_block(world: World, tree: BlockTree, block: str) -> Part:
     """What a block moves, itself or through its descendants.
 
-    The whole posture belongs to a block that drives all actuators, and to one whose actuators move
-    nothing that the posture tells. Landmarks are restricted to a part. A leaf that moves a part, such as
+    The whole posture belongs to a block that drives all actuators, as do sides, and to one whose actuators
+    move nothing that the posture tells. Landmarks are restricted to a part. A leaf that moves a part, such as
     a finger, is at one when each of its joints is; any other block when each group's mean is.
     """
     components = moved_by(world, tree, block)
-    if len(tree.driven_through(block)) == world.action_size or not components:
+    drives_all = len(tree.driven_through(block)) == world.action_size
+    if drives_all or not components:
         whole = np.arange(world.posture_size)
-        return Part(whole, world.diameter, world.crossing_axis, tuple(world.landmarks))
+        return Part(whole, world.diameter, world.crossing_axis, tuple(world.landmarks), turns=drives_all)
     place = {component: index for index, component in enumerate(components)}
     single = not tree.specs[block].children
     restricted = [_restricted(landmark, place, single) for landmark in world.landmarks]

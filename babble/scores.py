@@ -28,6 +28,8 @@ __all__ = [
 
 REACHED = 0.9
 """A goal counts as reached when the latent is at least so near to it; see `nearness`."""
+LIES = 0.5
+"""A body lies on its back or belly when its front is within 60 degrees of the vertical; else on a flank."""
 ROUNDING = 1e-6
 """Components of a latent on the simplex sum to 1 up to this."""
 
@@ -60,7 +62,10 @@ def score(
     - z_min: the mean of z_j at the ends of legs to vertex j, for the worst j that was a goal; z_goal:
       the mean over all legs; switch_success: the share of legs with z_goal >= 0.9. Without the simplex z_j
       may be any number, and the `nearness` to the vertex is taken for it.
-    - crossing: the share of consecutive legs that end on opposite sides of `crossing_axis`.
+    - crossing: the share of consecutive legs that end on opposite sides of `crossing_axis`; where legs say
+      which side the body lies on, that end on its back and on its belly, each with |side| > 0.5: a body
+      that stops on a flank has not rolled over. A body that rolls without regard to its goals may reach
+      2 p (1 - p) <= 0.5, for a share p of ends on the back.
     - landmarks: of the legs to the vertex that stands for a landmark, the share that ended at it. At
       most one vertex stands for a landmark and one landmark for a vertex, so that the sum of the shares
       is greatest; landmark_vertices says which. One that no leg reached has share 0 and no vertex.
@@ -82,7 +87,7 @@ def score(
         z_min=float(min(at_goal[goal == vertex].mean() for vertex in visited)),
         z_goal=float(at_goal.mean()),
         switch_success=float((at_goal >= REACHED).mean()),
-        crossing=None if crossing_axis is None else _crossing(posture[:, :, crossing_axis]),
+        crossing=_crossing(legs, crossing_axis),
         landmarks=shares,
         landmark_vertices=vertices,
         external_reward=external,
@@ -103,13 +108,14 @@ def nearness(latent: Doubles, goal: NDArray[np.int64]) -> Doubles:
 
 def _check(legs: Legs) -> None:
     shape = legs.goal.shape
-    rewards = legs.external_reward
+    told = {"external_reward": legs.external_reward, "side": legs.side}
+    shapes = {name: array.shape for name, array in told.items() if array is not None}
     fits = legs.posture.shape[:2] == shape and legs.latent.shape[:2] == shape
-    if len(legs.goal) < 3 or not fits or (rewards is not None and rewards.shape != shape):
-        also = "" if rewards is None else f", and external_reward {rewards.shape}"
+    if len(legs.goal) < 3 or not fits or any(other != shape for other in shapes.values()):
+        also = "".join(f", and {name} {other}" for name, other in shapes.items())
         raise ValueError(
             "a score needs three or more legs with posture (L, E, p), latent (L, E, d), goal (L, E) and "
-            f"perhaps external_reward (L, E), got {legs.posture.shape}, {legs.latent.shape} and "
+            f"perhaps external_reward and side (L, E), got {legs.posture.shape}, {legs.latent.shape} and "
             f"{legs.goal.shape}{also}"
         )
 
@@ -121,8 +127,13 @@ def _apart(posture: Doubles, goal: NDArray[np.int64], visited: NDArray[np.int64]
     return np.array([np.linalg.norm(one - other) for one, other in combinations(ends, 2)])
 
 
-def _crossing(place: Doubles) -> float:
-    side = np.sign(place)
+def _crossing(legs: Legs, axis: int | None) -> float | None:
+    if axis is not None:
+        side = np.sign(legs.posture[1:, :, axis])
+    elif legs.side is not None:
+        side = np.sign(legs.side[1:]) * (np.abs(legs.side[1:]) > LIES)
+    else:
+        return None
     return float((side[1:] * side[:-1] < 0).mean())
 
 

@@ -53,6 +53,7 @@ _EVALUATED: Rules = {
     "latent": ArrayRule("<f4", ("L", "E", "d")),
     "goal": ArrayRule("<i4", ("L", "E")),
     "external_reward": ArrayRule("<f4", ("L", "E"), required=False),
+    "side": ArrayRule("<f4", ("L", "E"), required=False),
 }
 SEGMENT_ARRAYS: dict[str, Rules] = {
     Phase.BABBLE: _WALKED,

@@ -131,6 +131,10 @@ class World(Protocol):
         """(E, p) where the copies are; its distances define separation."""
         ...
 
+    def side(self) -> Floats | None:
+        """(E,) from 1 for lying on the back to -1 for the belly; None for a body whose sides do not count."""
+        ...
+
     def state(self) -> Floats:
         """(E, s) how the copies are and move, in the body's own units, whatever senses it has.
 
@@ -211,6 +215,9 @@ class PointWorld:
     def posture(self) -> Floats:
         """The positions (E, 3)."""
         return self._position.astype(np.float32)
+
+    def side(self) -> None:
+        """None: a point has no sides."""
 
     def state(self) -> Floats:
         """The positions (E, 3); a point has no velocity of its own."""

@@ -102,6 +102,8 @@ class EvaluationCollector:
         }
         if legs.external_reward is not None:
             arrays["external_reward"] = legs.external_reward
+        if legs.side is not None:
+            arrays["side"] = legs.side
         return Finished(
             block=block,
             arrays=arrays,

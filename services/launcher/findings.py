@@ -65,7 +65,8 @@ def _sought(run: Run, version: Version, row: Score) -> str:
         return "places far apart, one per goal,"
     if version.block not in run.settings.levels[-1]:
         return "two places far apart of what it moves"
-    return PLACES.get(run.settings.world.id, "two places far apart")
+    apart = "two places far apart" if row.crossing is None else "two goals on opposite sides"
+    return PLACES.get(run.settings.world.id, apart)
 
 
 def _places(rollout: Rollout, block: str, ends: "Ends", world: World) -> list[str]:

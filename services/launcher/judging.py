@@ -10,7 +10,7 @@ def measures(row: Score) -> dict[str, float]:
     """What success is asked of.
 
     Where the body has landmarks, z_min and each landmark; elsewhere separation, z_min and, where there
-    are two halves, crossing. services/coordinator/best.py decides by the same.
+    are two halves or sides, crossing. services/coordinator/best.py decides by the same.
     """
     if row.landmarks:
         return {"z_min": row.z_min, **row.landmarks}

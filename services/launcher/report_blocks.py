@@ -88,7 +88,7 @@ def score_table(run: Run, rows: Sequence[Score]) -> list[str]:
     asked = (
         f"z_min and each of {', '.join(landmarks)}"
         if landmarks
-        else "separation, z_min and, where there are two halves, crossing"
+        else "separation, z_min and, where there are two halves or sides, crossing"
     )
     columns = score_columns(rows)
     heads = ["iteration", "after", "actions", *(HEADS.get(name, name) for name in columns)]

@@ -12,7 +12,13 @@ from services.policy_learner.config import PolicyWorkConfig
 
 Mode = Literal["mean", "sampled"]
 MODES: tuple[Mode, ...] = ("mean", "sampled")
-_DTYPES = {"posture": np.float32, "latent": np.float32, "goal": np.int32, "external_reward": np.float32}
+_DTYPES = {
+    "posture": np.float32,
+    "latent": np.float32,
+    "goal": np.int32,
+    "external_reward": np.float32,
+    "side": np.float32,
+}
 LEG_ARRAYS = ("posture", "latent", "goal")
 """What legs cannot be scored without."""
 _Arrays = dict[str, NDArray[np.generic]]

@@ -72,6 +72,9 @@ class EpisodicWorld:
     def posture(self) -> Floats:
         return self._place[:, None].astype(np.float32)
 
+    def side(self) -> Floats | None:
+        return None
+
     def state(self) -> Floats:
         """The place, and the age in steps."""
         return np.stack([self._place, self._age], axis=1).astype(np.float32)

@@ -35,6 +35,26 @@ def test_a_trace_has_every_posture_and_the_latent_that_each_step_was_taken_at() 
     np.testing.assert_array_equal(posture[LEG_STEPS::LEG_STEPS], walk.legs()["body"].posture)
 
 
+class OnASide(EpisodicWorld):
+    """Lies on its back to the right of the middle, on its belly to the left."""
+
+    def side(self) -> np.ndarray:
+        return np.sign(self.posture()[:, 0])
+
+
+def test_legs_say_which_side_the_body_lay_on_at_their_end() -> None:
+    assert walk_blocks(world_of(), *walkers())["body"].side is None
+    world = OnASide(COLUMNS, np.random.default_rng(0))
+    legs = walk_blocks(world, *walkers())["body"]
+    assert legs.side is not None
+    np.testing.assert_array_equal(legs.side, np.sign(legs.posture[:, :, 0]))
+
+
+def walkers() -> tuple[dict[str, Walker], np.random.Generator, int, int]:
+    walker = Walker(Half(), Push(0, actuators=1), np.arange(2), np.arange(1))
+    return {"body": walker}, np.random.default_rng(1), LEGS, LEG_STEPS
+
+
 def test_a_walk_that_is_done_does_not_step_any_more() -> None:
     world = world_of()
     walk = walk_of(world)

@@ -183,6 +183,27 @@ def test_an_episode_that_ends_within_a_step_ends_the_step_of_its_column() -> Non
     assert not stage.world.step(up(3, 1)[:, :2]).terminated.any()
 
 
+class OnASide(EpisodicWorld):
+    """Lies on its back to the right of the middle, on its belly to the left."""
+
+    def side(self) -> np.ndarray:
+        return np.sign(self.posture()[:, 0])
+
+
+@pytest.mark.parametrize("ends_after", [0, 4])
+def test_the_side_is_that_at_the_end_of_the_step_or_of_its_episode(ends_after: int) -> None:
+    tree = BlockTree([BlockSpec("leaf", 2), BlockSpec("top", 2, children=("leaf",))], 1, 1)
+    world = OnASide(3, np.random.default_rng(0), limit_steps=ends_after)
+    stage = stage_of(world, tree, 1, models_of(leaf=1), decision_steps=(1, 4))
+    stage.world.reset()
+    stage.world.step(up(3, 1))
+    np.testing.assert_array_equal(stage.world.side(), [1, 1, 1])
+    if ends_after:
+        world.restart(np.ones(3, np.bool_))
+        np.testing.assert_array_equal(world.side(), [0, 0, 0])
+        np.testing.assert_array_equal(stage.world.side(), [1, 1, 1], "what it was before the restart")
+
+
 def test_a_walk_over_a_level_takes_the_whole_tree_to_its_vertices() -> None:
     stage = stage_of(box(), TWO_LEVELS, 1, leaves(), decision_steps=(1, 10))
 

@@ -149,6 +149,33 @@ def test_the_body_lies_still_on_its_back_or_belly(start: str, facing: int) -> No
     assert len(np.unique(world.posture().round(6), axis=0)) == 3, "each copy begins a little differently"
 
 
+@pytest.mark.parametrize(("start", "side"), [("supine", 1.0), ("prone", -1.0)])
+def test_a_body_whose_sides_count_says_which_it_lies_on(start: str, side: float) -> None:
+    world = world_of("MimoRollover", columns=2, start=start, sides=True)
+    world.reset()
+    told = world.side()
+    assert told is not None
+    assert told.dtype == np.float32
+    assert_allclose(told, [side] * 2, atol=0.1)
+    data = world.copies[1]
+    data.qpos[3:7] = turned(data.qpos[3:7], 90)
+    mujoco.mj_forward(world.blueprint.model, data)
+    assert_allclose(world.side(), [side, 0], atol=0.1, err_msg="one lies as it lay, the other on a flank")
+
+
+def turned(root: np.ndarray, degrees: float) -> np.ndarray:
+    """A root's quaternion, turned about the body's long axis."""
+    half, found = np.radians(degrees) / 2, np.zeros(4)
+    mujoco.mju_mulQuat(found, root, np.array([np.cos(half), 0, 0, np.sin(half)]))
+    return found
+
+
+def test_sides_count_only_where_that_was_asked_for() -> None:
+    assert world_of("MimoRollover").side() is None
+    with pytest.raises(WorldError, match="sides"):
+        world_of("MimoRollover", sides=1)
+
+
 def test_random_starts_lie_calmly_on_either_side() -> None:
     world = world_of("MimoRollover", columns=24)
     world.reset("random")

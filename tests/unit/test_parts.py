@@ -126,3 +126,13 @@ def test_a_cut_leaves_the_rest_of_the_legs_as_it_is() -> None:
     assert cut.start_posture is None
     assert cut.posture.shape == (3, 1, 2)
     np.testing.assert_array_equal(cut.goal, legs.goal)
+
+
+def test_only_a_block_that_drives_the_whole_body_is_scored_by_the_side_it_lies_on() -> None:
+    world = make("MimoHand", {}, 1, 0)
+    legs = replace(legs_of(np.zeros((3, 14))), side=np.array([[1.0], [-1.0], [1.0]]))
+    crossing = {
+        block: score(part_of_block(world, hand(world), block).cut(legs), 1.0)["crossing"]
+        for block in ("index", "hand")
+    }
+    assert crossing == {"index": None, "hand": 1.0}

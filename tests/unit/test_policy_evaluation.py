@@ -1,5 +1,6 @@
 """The policy learner's evaluation: landmarks and rewards in the scores, also after a restart."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -89,3 +90,13 @@ def test_legs_without_the_reward_are_scored_without_it(config: PolicyWorkConfig)
 def test_rewards_that_are_no_numbers_are_refused(config: PolicyWorkConfig, reward: np.ndarray) -> None:
     with pytest.raises(ValueError, match="external_reward must be finite numbers of shape"):
         evaluation_of(config).take(legs(external_reward=reward))
+
+
+def test_where_sides_count_each_leg_says_which_it_ended_on(config: PolicyWorkConfig) -> None:
+    config = replace(config, part=Part(np.arange(1), 2.0, None, (), turns=True))
+    straight = evaluation_of(config)
+    straight.take(legs(side=np.array([[1, 1], [1, 1], [-0.9, -0.4]], np.float32)))
+    restarted = Evaluation.restored(config, straight.state())
+    for evaluation in (straight, restarted):
+        evaluation.take(legs(side=np.array([[1, 1], [1, -1], [1, 0.6]], np.float32)))
+        assert evaluation.scores[0].crossing == 0.5, "one rolled to the front, one back, one to a flank"

@@ -63,6 +63,32 @@ def test_the_other_side_must_be_reached_to_cross():
     assert score(legs, 2.0, 0)["crossing"] == 0.0
 
 
+def lying(*sides):
+    """Legs of one column that ended with these sides, after a first one that is not scored."""
+    goal = np.arange(len(sides) + 1)[:, None] % 2
+    return Legs(ENDS[goal], one_hot(goal, 2), goal, side=np.array([0.9, *sides])[:, None])
+
+
+@pytest.mark.parametrize(
+    ("sides", "crossing"),
+    [
+        ((1.0, -1.0, 1.0), 1.0),
+        ((0.6, -0.6, -0.9), 0.5),
+        ((1.0, 0.9, 1.0), 0.0),
+        ((1.0, -0.5, 1.0), 0.0),
+        ((0.4, -0.4, 0.4), 0.0),
+        ((1.0, 0.1, -1.0, 1.0), pytest.approx(1 / 3)),
+    ],
+    ids=["rolls", "rolls once", "stays", "only to a flank", "rocks on a flank", "a flank on the way"],
+)
+def test_a_body_crosses_when_it_rolls_from_back_to_belly_or_back(sides, crossing):
+    assert score(lying(*sides), 2.0)["crossing"] == crossing
+
+
+def test_sides_are_for_worlds_without_halves():
+    assert score(lying(1.0, 1.0, 1.0), 2.0, 0)["crossing"] == 1.0, "of the axis, whose sides do change"
+
+
 def test_more_than_two_vertices_are_compared_in_pairs_of_their_mean_ends():
     corners = np.array([[0.0, 0.0], [3.0, 4.0], [0.0, 4.0], [9.0, 9.0]])
     goal = np.array([[0, 1], [0, 1], [1, 2], [2, 0]])

@@ -26,6 +26,8 @@ from babble.worlds.senses.joints import Unit
 from babble.worlds.senses.rendering import View
 
 POSES = ("supine", "prone")
+TRUNK = "lower_body"
+"""The middle of the trunk, against which pelvis and chest twist by 18 degrees at most, each the other way."""
 REACH_SHARE = 0.3
 """At a random start, how far each joint may be from rest, as a share of half of its range."""
 CALM_SECS = 1.0
@@ -51,6 +53,8 @@ class RolloverParameters(BodyParameters):
     """physics steps without action before an episode begins"""
     head_held: bool = True
     """the head fixed to the trunk and the eyes to the head"""
+    sides: bool = False
+    """whether scores say how often a change of goal turns the body from its back to its belly or back"""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -83,6 +87,7 @@ class MimoRollover(MujocoEnv):
             joints=joints,
             actuators=np.arange(model.nu),
             task=lambda: Lying(model, moving(model, head_held=parameters.head_held)[0], parameters),
+            sided=model.body(TRUNK).id if parameters.sides else None,
         )
 
 

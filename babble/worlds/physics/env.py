@@ -163,6 +163,7 @@ def blueprint(
     task: Callable[[], Task],
     sensors: Sequence[str] = (),
     landmarks: tuple[Landmark, ...] = (),
+    sided: int | None = None,
 ) -> Blueprint:
     """The blueprint of a body whose model was built for it alone: its ranges and motors are changed.
 
@@ -192,6 +193,7 @@ def blueprint(
         episode_steps=parameters.episode_steps,
         degradations=parameters.degradations(),
         landmarks=landmarks,
+        sided=sided,
     )
 
 

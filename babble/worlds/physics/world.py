@@ -49,6 +49,8 @@ class Blueprint:
     degradations: Mapping[str, Degradation] = field(default_factory=dict)
     """by the name of a sense"""
     landmarks: tuple[Landmark, ...] = ()
+    sided: int | None = None
+    """the body part whose x axis, its front, says which side the whole lies on; None where none counts"""
 
 
 class MujocoWorld:
@@ -165,6 +167,11 @@ class MujocoWorld:
         """(E, joints): where each joint is in its range, from -1 to 1."""
         position = np.array([data.qpos for data in self.copies])[:, self._qpos]
         return np.clip((position - self._centre) / self._half, -1, 1).astype(np.float32)
+
+    def side(self) -> Floats | None:
+        """(E,) the height of the front's unit vector: 1 facing up, on the back; -1 facing down."""
+        part = self.blueprint.sided
+        return None if part is None else np.array([data.xmat[part, 6] for data in self.copies], np.float32)
 
     def state(self) -> Floats:
         """(E, 2 x joints) of the posture's joints: positions in rad or m, then velocities in rad/s or m/s."""

@@ -126,6 +126,17 @@ GOLDEN: dict[str, Message] = {
         consumer="policy_learner",
         policy="sampled",
     ),
+    "segment-evaluate-sides": segment(
+        Phase.EVALUATE,
+        {
+            "posture": ramp((4, 3, 6), "<f4"),
+            "latent": ramp((4, 3, 2), "<f4"),
+            "goal": ramp((4, 3), "<i4"),
+            "side": -ramp((4, 3), "<f4"),
+        },
+        consumer="policy_learner",
+        policy="mean",
+    ),
     "segment-recorder": segment(
         Phase.PRACTISE,
         {
