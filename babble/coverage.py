@@ -12,9 +12,9 @@ import numpy as np
 
 from babble.coverage_cells import visited_cells_entropy
 from babble.coverage_centres import insertion_distances
-from babble.coverage_diameter import bulk_diameter, diameter, furthest_pair
+from babble.coverage_diameter import bulk_diameter, diameter, furthest_pair, outlying
 from babble.coverage_neighbours import dimensions, neighbour_ratios, spread_rows, twonn
-from babble.coverage_passes import Doubles, Floats, moments
+from babble.coverage_passes import Doubles, Floats, covariance_without, moments
 
 __all__ = [
     "Coverage",
@@ -58,6 +58,8 @@ class Coverage:
     centre_sum: float
     """The sum of all insertion distances."""
     participation_ratio: float
+    bulk_participation_ratio: float
+    """The same without the one state in 10,000."""
     variances: tuple[float, ...]
     """Along the principal axes, falling."""
     neighbour_rows: int
@@ -100,7 +102,8 @@ def coverage(states: Floats, *, seed: int = 0, neighbour_rows: int = 6000, centr
     known = moments(states)
     wide = diameter(states, known, seed)
     inserted = insertion_distances(states, known.mean.astype(np.float32), centres)
-    variances = np.clip(np.linalg.eigvalsh(known.covariance)[::-1], 0, None)
+    outside = outlying(states, known)
+    variances = _variances(known.covariance)
     sample = states[spread_rows(len(states), neighbour_rows, seed)]
     different, without_tail, with_all, check = dimensions(sample)
     return Coverage(
@@ -110,7 +113,7 @@ def coverage(states: Floats, *, seed: int = 0, neighbour_rows: int = 6000, centr
         diameter=wide.distance,
         diameter_exact=wide.exact,
         furthest_rows=wide.rows,
-        bulk_diameter=bulk_diameter(states, known, seed),
+        bulk_diameter=bulk_diameter(states, known, outside, seed),
         projection_width=wide.projection_width,
         radius=wide.radius,
         box_diagonal=known.box_diagonal,
@@ -119,6 +122,7 @@ def coverage(states: Floats, *, seed: int = 0, neighbour_rows: int = 6000, centr
         centre_last=float(inserted[-1]),
         centre_sum=float(inserted.sum()),
         participation_ratio=participation_ratio(variances),
+        bulk_participation_ratio=participation_ratio(_variances(covariance_without(known, states, outside))),
         variances=tuple(float(variance) for variance in variances),
         neighbour_rows=len(sample),
         duplicates=len(sample) - different,
@@ -145,3 +149,8 @@ def participation_ratio(variances: Sequence[float] | Doubles) -> float:
     """(sum l)^2 / sum l^2 of the variances l along the principal axes: 1 for a line, s for a ball."""
     values = np.asarray(variances, np.float64)
     return float(values.sum() ** 2 / (values**2).sum())
+
+
+def _variances(covariance: Doubles) -> Doubles:
+    """Along the principal axes, falling."""
+    return np.clip(np.linalg.eigvalsh(covariance)[::-1], 0, None)

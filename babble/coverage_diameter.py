@@ -76,20 +76,25 @@ def diameter(states: Floats, known: Moments, seed: int = 0) -> Diameter:
     return Diameter(best, distance(states, *best), exact, width, radius)
 
 
-def bulk_diameter(states: Floats, known: Moments, seed: int = 0) -> float:
-    """The largest distance that sweeps find between rows of the bulk, a lower bound.
+def outlying(states: Floats, known: Moments) -> Indices:
+    """The rows that are not of the bulk: the one in OUTLYING, at least one, that lie furthest from the mean.
 
-    A single step in which a limb is flung by a contact, out of a million, can make a diameter three times
-    as large; the bulk is all rows but the one in OUTLYING that lies furthest from the mean.
+    A single contact that flings a limb for some steps of a million can make the diameter fifty times as
+    large, and the participation ratio a fifth smaller.
     """
+    squares = squared_distances(states, known.mean.astype(np.float32))
+    count = -(-len(states) // OUTLYING)
+    return np.sort(np.argpartition(squares, len(states) - count)[len(states) - count :])
+
+
+def bulk_diameter(states: Floats, known: Moments, outside: Indices, seed: int = 0) -> float:
+    """The largest distance that sweeps find between rows that are not `outside`; a lower bound."""
     middle = known.mean.astype(np.float32)
     squares = squared_distances(states, middle)
-    outlying = -(-len(states) // OUTLYING)
-    limit = np.partition(squares, len(states) - 1 - outlying)[len(states) - 1 - outlying]
-    inside = np.flatnonzero(squares <= limit)
-    drawn = np.random.default_rng(seed).choice(inside, STARTS)
-    starts = np.append(drawn, inside[squares[inside].argmax()])
-    return distance(states, *_swept(states, starts, middle, limit))
+    squares[outside] = -np.inf
+    inside = np.flatnonzero(squares >= 0)
+    starts = np.append(np.random.default_rng(seed).choice(inside, STARTS), squares.argmax())
+    return distance(states, *_swept(states, starts, middle, float(squares.max())))
 
 
 def _extremes(states: Floats, middle: Floats, seed: int) -> tuple[Indices, float]:
@@ -121,9 +126,7 @@ def _furthest_of(states: Floats, rows: Indices, middle: Floats) -> tuple[int, in
     return pair
 
 
-def _swept(
-    states: Floats, starts: Indices, middle: Floats, limit: float | np.floating = np.inf
-) -> tuple[int, int]:
+def _swept(states: Floats, starts: Indices, middle: Floats, limit: float = np.inf) -> tuple[int, int]:
     """The furthest pair that sweeps from the starts end at, of rows whose square is not over the limit."""
     reach, best = 0.0, (0, 0)
     for _ in range(MOST_SWEEPS):

@@ -66,6 +66,14 @@ def moments(states: Floats) -> Moments:
     return Moments(near + shift, products / len(states) - np.outer(shift, shift), least, most)
 
 
+def covariance_without(known: Moments, states: Floats, rows: Indices) -> Doubles:
+    """(s, s): the covariance of all states but these few rows, from that of all of them."""
+    left = len(states) - len(rows)
+    moved = states[rows] - known.mean
+    shift = -moved.sum(axis=0) / left
+    return np.asarray((len(states) * known.covariance - moved.T @ moved) / left - np.outer(shift, shift))
+
+
 def _not_finite(states: Floats, rows: slice) -> str:
     row, column = np.argwhere(~np.isfinite(states[rows]))[0]
     value = states[rows][row, column]

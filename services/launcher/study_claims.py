@@ -27,7 +27,7 @@ from services.launcher.study_table import BY_NAME, Estimate, Estimates
 
 WIDTH = ("diameter", "bulk_diameter", "box_diagonal", "centre_sum")
 DIMENSION = ("twonn", "twonn_all", "intrinsic_check")
-SPREAD = ("participation_ratio",)
+SPREAD = ("participation_ratio", "bulk_participation_ratio")
 COLUMNS = {WIDTH: "diameter", DIMENSION: "intrinsic_dimension", SPREAD: "participation_ratio"}
 """The thesis's column of each."""
 COMPOSERS = ("C1", "C2", "C3", "C4")

@@ -12,7 +12,7 @@ from services.launcher.study_measurement import Measurement
 from services.launcher.study_plan import Condition, Plan
 from services.launcher.study_table import BY_NAME, Measurements, thesis_of, value_of
 
-OVER_STEPS = ("diameter", "bulk_diameter", "participation_ratio", "twonn")
+OVER_STEPS = ("diameter", "bulk_diameter", "bulk_participation_ratio", "twonn")
 PANELS_ACROSS = 4
 KEPT_SHARE = 0.9
 """TwoNN's line is fitted to so much of the ratios, the smallest."""

@@ -10,6 +10,7 @@ from services.launcher.report_tables import table_head, table_row
 from services.launcher.study_claims import Verdict, heads, verdicts_of
 from services.launcher.study_plan import Condition, Plan
 from services.launcher.study_table import (
+    BY_NAME,
     METRICS,
     NEAR,
     Estimates,
@@ -92,8 +93,8 @@ def seeds_section(plan: Plan, measurements: Measurements, estimates: Estimates) 
 
 
 def growth_section(plan: Plan, measurements: Measurements) -> list[str]:
-    """Diameter, PR and TwoNN of the first so many states, means over the seeds."""
-    shown = [metric for metric in METRICS if metric.name in ("diameter", "participation_ratio", "twonn")]
+    """Diameter and PR of the bulk, and TwoNN, of the first so many states, means over the seeds."""
+    shown = [BY_NAME[name] for name in ("bulk_diameter", "bulk_participation_ratio", "twonn")]
     rows = max(([each.rows for each in one.curve] for _, one in _each(measurements)), key=len, default=[])
     lines = ["## Coverage over steps", "", "Means over the seeds after so many states.", ""]
     lines += table_head(["", *(f"{metric.head} {count:,}" for metric in shown for count in rows)])
@@ -200,21 +201,23 @@ def _nearness_table(plan: Plan, found: Sequence[Nearness]) -> list[str]:
 
 
 def _participation(plan: Plan, estimates: Estimates) -> list[str]:
-    metric = next(metric for metric in METRICS if metric.name == "participation_ratio")
+    metrics = [BY_NAME[name] for name in ("participation_ratio", "bulk_participation_ratio")]
     rows = []
     for condition in plan.condition:
-        printed, found = thesis_of(condition, metric), estimates.get(condition.id)
+        printed, found = thesis_of(condition, metrics[0]), estimates.get(condition.id)
         if printed is None or found is None:
             continue
-        ours = found[metric.name].mean
-        near = "yes" if is_near(ours, printed[0]) else "**no**"
         kind = "open loop" if is_open_loop(condition) else "learns"
-        error = f"{ours / printed[0] - 1:+.0%}"
-        rows.append(table_row([condition.id, kind, f"{ours:.2f}", f"{printed[0]:.2f}", error, near]))
+        cells = [condition.id, kind, f"{printed[0]:.2f}"]
+        for metric in metrics:
+            ours = found[metric.name].mean
+            near = "yes" if is_near(ours, printed[0]) else "**no**"
+            cells += [f"{ours:.2f}", f"{ours / printed[0] - 1:+.0%}", near]
+        rows.append(table_row(cells))
     if not rows:
         return []
-    head = table_head(["", "", "PR", "thesis", "error", f"within {NEAR:.0%}"])
-    return ["## Participation ratio", "", *head, *rows, ""]
+    heads = [part for metric in metrics for part in (metric.head, "error", f"within {NEAR:.0%}")]
+    return ["## Participation ratio", "", *table_head(["", "", "thesis", *heads]), *rows, ""]
 
 
 def is_open_loop(condition: Condition) -> bool:

@@ -39,6 +39,7 @@ def coverage(rows: int = 1000, dims: int = 4, **numbers: float) -> Coverage:
         "centre_last": 1.0,
         "centre_sum": 200.0,
         "participation_ratio": 3.0,
+        "bulk_participation_ratio": 3.1,
         "twonn": 2.5,
         "twonn_all": 2.4,
         "intrinsic_check": 2.6,

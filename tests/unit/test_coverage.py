@@ -89,6 +89,8 @@ def test_the_bulk_has_a_diameter_that_a_single_far_row_does_not_change() -> None
     assert coverage(flung).diameter > 50
     assert coverage(flung).bulk_diameter == pytest.approx(2, abs=0.01)
     assert coverage(cloud).bulk_diameter <= coverage(cloud).diameter
+    assert coverage(flung).participation_ratio < 3.9
+    assert coverage(flung).bulk_participation_ratio == pytest.approx(4, abs=0.01)
 
 
 def test_centres_are_inserted_as_the_plain_algorithm_does() -> None:
@@ -174,7 +176,8 @@ def test_rows_that_repeat_are_counted_and_left_out_of_the_neighbours() -> None:
     pair = once.furthest_rows
     # One row is left out of the bulk: of two that are the same the other one stays in.
     alone = {"rows": 400, "neighbour_rows": 400, "duplicates": 0, "bulk_diameter": once.bulk_diameter}
-    alike(replace(found, furthest_rows=pair, **alone), once)
+    bulk = once.bulk_participation_ratio
+    alike(replace(found, furthest_rows=pair, bulk_participation_ratio=bulk, **alone), once)
 
 
 @pytest.mark.parametrize(

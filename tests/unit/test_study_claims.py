@@ -31,7 +31,9 @@ def as_printed(plan: Plan) -> Numbers:
         numbers[condition.id] = {
             **dict.fromkeys(("diameter", "bulk_diameter", "box_diagonal", "centre_sum"), width),
             **dict.fromkeys(("twonn", "twonn_all", "intrinsic_check"), dimension),
-            "participation_ratio": thesis.participation_ratio[0],
+            **dict.fromkeys(
+                ("participation_ratio", "bulk_participation_ratio"), thesis.participation_ratio[0]
+            ),
         }
     return numbers
 
