@@ -28,7 +28,12 @@ def draw_over_steps(path: Path, plan: Plan, measurements: Measurements) -> None:
         metric = BY_NAME[name]
         for place, condition, by_seed in _present(plan, measurements):
             _growth(axes, name, place, condition, list(by_seed.values()))
-        axes.set(xscale="log", title=metric.words, ylim=(0, None))
+        axes.set(xscale="log", title=metric.words)
+        if name == "diameter":
+            # A flung limb makes it many times as large as it was, in one step.
+            axes.set(yscale="log")
+        else:
+            axes.set(ylim=(0, None))
         axes.title.set_fontsize(9)
         axes.grid(alpha=0.3)
         axes.set_ylabel(metric.head)

@@ -46,7 +46,7 @@ METRICS = (
         head="bulk diameter",
         digits=1,
         thesis="diameter",
-        words="the same without the one state in 10,000 that lies furthest from the mean",
+        words="largest distance found, without the 0.01 % of states furthest from the mean",
     ),
     Metric(
         name="projection_width",
@@ -95,7 +95,7 @@ METRICS = (
         head="bulk PR",
         digits=2,
         thesis="participation_ratio",
-        words="the same without the one state in 10,000 that lies furthest from the mean",
+        words="participation ratio without the 0.01 % of states furthest from the mean",
     ),
     Metric(
         name="twonn",
