@@ -12,9 +12,9 @@ import numpy as np
 
 from babble.coverage_cells import visited_cells_entropy
 from babble.coverage_centres import insertion_distances
-from babble.coverage_diameter import bulk_diameter, diameter, furthest_pair, outlying
+from babble.coverage_diameter import diameter, furthest_inside, furthest_pair, outlying
 from babble.coverage_neighbours import dimensions, neighbour_ratios, spread_rows, twonn
-from babble.coverage_passes import Doubles, Floats, covariance_without, moments
+from babble.coverage_passes import Doubles, Floats, covariance_without, distance, moments
 
 __all__ = [
     "Coverage",
@@ -100,9 +100,10 @@ def coverage(states: Floats, *, seed: int = 0, neighbour_rows: int = 6000, centr
     if centres < 2:
         raise ValueError(f"greedy k-centre needs two or more centres, got {centres}")
     known = moments(states)
-    wide = diameter(states, known, seed)
-    inserted = insertion_distances(states, known.mean.astype(np.float32), centres)
     outside = outlying(states, known)
+    bulk = furthest_inside(states, known, outside, seed)
+    wide = diameter(states, known, seed, bulk)
+    inserted = insertion_distances(states, known.mean.astype(np.float32), centres)
     variances = _variances(known.covariance)
     sample = states[spread_rows(len(states), neighbour_rows, seed)]
     different, without_tail, with_all, check = dimensions(sample)
@@ -113,7 +114,7 @@ def coverage(states: Floats, *, seed: int = 0, neighbour_rows: int = 6000, centr
         diameter=wide.distance,
         diameter_exact=wide.exact,
         furthest_rows=wide.rows,
-        bulk_diameter=bulk_diameter(states, known, outside, seed),
+        bulk_diameter=distance(states, *bulk),
         projection_width=wide.projection_width,
         radius=wide.radius,
         box_diagonal=known.box_diagonal,

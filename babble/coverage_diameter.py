@@ -52,18 +52,20 @@ def furthest_pair(states: Floats, seed: int = 0) -> tuple[int, int, float]:
     return *found.rows, found.distance
 
 
-def diameter(states: Floats, known: Moments, seed: int = 0) -> Diameter:
+def diameter(states: Floats, known: Moments, seed: int = 0, found: tuple[int, int] | None = None) -> Diameter:
     """Double sweeps: from each start to the row furthest from it, from there again, until none grows.
 
     Starts are STARTS random rows, the row furthest from the mean, and the furthest two of the rows that
-    are extreme along a random direction. Then, if few enough rows are so far out that they could be in a
-    longer pair, all of these are compared.
+    are extreme along a random direction, or of the pair that was found otherwise. Then, if few enough rows
+    are so far out that they could be in a longer pair, all of these are compared.
     """
     middle = known.mean.astype(np.float32)
     norms = np.sqrt(squared_distances(states, middle))
     radius = float(norms.max())
     hull, width = _extremes(states, middle, seed)
     best = _furthest_of(states, hull, middle)
+    if found is not None:
+        best = max(best, found, key=lambda pair: distance(states, *pair))
     rng = np.random.default_rng(seed)
     starts = np.concatenate([rng.integers(0, len(states), STARTS), [norms.argmax(), *best]])
     best = max(best, _swept(states, starts, middle), key=lambda pair: distance(states, *pair))
@@ -87,14 +89,14 @@ def outlying(states: Floats, known: Moments) -> Indices:
     return np.sort(np.argpartition(squares, len(states) - count)[len(states) - count :])
 
 
-def bulk_diameter(states: Floats, known: Moments, outside: Indices, seed: int = 0) -> float:
-    """The largest distance that sweeps find between rows that are not `outside`; a lower bound."""
+def furthest_inside(states: Floats, known: Moments, outside: Indices, seed: int = 0) -> tuple[int, int]:
+    """The furthest pair that sweeps find of rows that are not `outside`."""
     middle = known.mean.astype(np.float32)
     squares = squared_distances(states, middle)
     squares[outside] = -np.inf
     inside = np.flatnonzero(squares >= 0)
     starts = np.append(np.random.default_rng(seed).choice(inside, STARTS), squares.argmax())
-    return distance(states, *_swept(states, starts, middle, float(squares.max())))
+    return _swept(states, starts, middle, float(squares.max()))
 
 
 def _extremes(states: Floats, middle: Floats, seed: int) -> tuple[Indices, float]:
