@@ -97,7 +97,7 @@ def test_a_frame_of_another_protocol_is_named_instead_of_a_run_that_is_missing()
         "settings", keys.settings("cuboid"), b"\x83\xa1p\x01\xa1k\xa8settings\xa1h\x80"
     )
     with pytest.raises(
-        UnknownRunError, match="speaks protocol 1, this process speaks 2; run the same version"
+        UnknownRunError, match="speaks protocol 1, this process speaks 3; run the same version"
     ):
         stage.join().wait(WHERE, 1.0)
 
