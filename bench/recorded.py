@@ -93,7 +93,7 @@ def raw_us(settings: RunSettings, steps: int) -> float:
     parameters: Mapping[str, Any] = settings.world.parameters
     model, physics_steps = world.blueprint.model, world.blueprint.physics_steps
     noise = make_noise(
-        **settings.babbling.model_dump(exclude={"subgoal_steps"}),
+        **settings.babbling.drawn,
         columns=world.columns,
         size=world.action_size,
         rng=np.random.default_rng(0),

@@ -173,7 +173,7 @@ class Model(WithArrays):
 
     kind: ClassVar[str] = "model"
     model: Literal["encoder", "policy"]
-    version: Annotated[int, Field(ge=1, le=2**53)]
+    version: Annotated[int, Field(ge=1, le=MAX_COUNT)]
     encoder_version: Count
     """The encoder that this model is, or that this policy was trained on."""
     fingerprint: Fingerprint

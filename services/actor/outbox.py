@@ -5,7 +5,7 @@ from typing import Any
 
 from protocol import keys
 from protocol.codec import encode
-from protocol.messages import ALL_BLOCKS, RECORDER, Ack, Phase, PhaseAnnounced, Segment
+from protocol.messages import ALL_BLOCKS, MAX_COUNT, RECORDER, Ack, Phase, PhaseAnnounced, Segment
 from protocol.refusal import Refused
 from protocol.window import SendWindow
 from services.actor.collect import Finished
@@ -21,8 +21,6 @@ CONSUMER_OF = {
     Phase.EVALUATE: "policy_learner",
 }
 """Who learns from a phase's experience; phases that are not here produce none."""
-UNBOUND = 2**53
-"""A grant of all that the window has room for."""
 
 
 @dataclass
@@ -95,7 +93,7 @@ class Outbox:
         A grant is needed to begin a chunk, and none to send it: rows that are there are not thrown away.
         """
         window = self._stream(RECORDER, ALL_BLOCKS).window
-        while recording.full and window.may_send(UNBOUND):
+        while recording.full and window.may_send(MAX_COUNT):
             chunk = recording.full.popleft()
             about = {
                 "steps": chunk.steps,

@@ -114,13 +114,5 @@ def _noise(term: Term, body: Body, block: str, rng: np.random.Generator) -> Nois
             env_steps=term.env_steps,
         )
     return make_noise(
-        babbling.kind,
-        scale=babbling.scale,
-        columns=body.world.columns,
-        size=body.tree.action_size_of(block),
-        rng=rng,
-        correlation=babbling.correlation,
-        hold_steps=babbling.hold_steps,
-        exponents=babbling.exponents,
-        block_steps=babbling.block_steps,
+        **babbling.drawn, columns=body.world.columns, size=body.tree.action_size_of(block), rng=rng
     )

@@ -63,7 +63,7 @@ def _train_control(opened: Run, block: str, seed: int) -> BlockModels:
 
 def _babbling(settings: RunSettings, world: World, seed: int) -> Noise:
     return make_noise(
-        **settings.babbling.model_dump(exclude={"subgoal_steps"}),
+        **settings.babbling.drawn,
         columns=world.columns,
         size=world.action_size,
         rng=np.random.default_rng([seed, 6, 3]),

@@ -68,21 +68,6 @@ def measure(run_dir: Path, *, rows: int, curve: Sequence[int]) -> Measurement:
     )
 
 
-def _recorded(folder: RunFolder, rows: int) -> tuple[Recording, Audit, NDArray[np.float32]]:
-    """The recording, what it holds, and its first so many states. Raises `UserError`."""
-    try:
-        recording = Recording.open(folder.path)
-        audit = recording.audit()
-        if audit.duplicates:
-            raise UserError(f"{folder.shown} has {audit.duplicates:,} rows twice, so it is not measured")
-        states = recording.states(most_rows=rows)
-    except RecordingError as error:
-        raise UserError(str(error)) from None
-    if len(states) < rows:
-        raise UserError(f"{folder.shown} has {len(states):,} rows, and {rows:,} are to be measured")
-    return recording, audit, states
-
-
 def _read(folder: RunFolder, rows: int) -> tuple[Audit, NDArray[np.float32], tuple[str, ...]]:
     """What there is, the first `rows` states, and their names. Raises `UserError`."""
     try:

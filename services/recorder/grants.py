@@ -1,9 +1,7 @@
 """How much actors may send: exactly what an open loop wants, and without bound where others decide."""
 
+from protocol.messages import MAX_COUNT
 from services.runtime.allotment import Allotment
-
-WITHOUT_BOUND = 2**53
-"""More segments than any run has; only the sender's window bounds what is under way."""
 
 
 class Unbounded(Allotment):
@@ -22,5 +20,5 @@ class Unbounded(Allotment):
         self._present.discard(life)
 
     def grant(self, now_secs: float) -> dict[str, int]:
-        """{life: `WITHOUT_BOUND`} for all present."""
-        return dict.fromkeys(sorted(self._present), WITHOUT_BOUND)
+        """{life: `MAX_COUNT`} for all present: only the sender's window bounds what is under way."""
+        return dict.fromkeys(sorted(self._present), MAX_COUNT)

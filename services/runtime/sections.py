@@ -120,6 +120,11 @@ class NoiseSettings(Section):
     subgoal_steps: tuple[Positive, Positive] = (20, 100)
     """above level 0, instead: environment steps for which each child keeps a random goal, least and most"""
 
+    @property
+    def drawn(self) -> dict[str, Any]:
+        """What babble.noise.make_noise takes of these settings, by its names."""
+        return self.model_dump(exclude={"subgoal_steps"})
+
     @model_validator(mode="after")
     def _least_is_first(self) -> "NoiseSettings":
         least, most = self.subgoal_steps
