@@ -12,7 +12,7 @@ import numpy as np
 
 from babble.coverage_cells import visited_cells_entropy
 from babble.coverage_centres import insertion_distances
-from babble.coverage_diameter import diameter, furthest_inside, furthest_pair, outlying
+from babble.coverage_diameter import bulk_of, diameter, furthest_pair
 from babble.coverage_neighbours import dimensions, neighbour_ratios, spread_rows, twonn
 from babble.coverage_passes import Doubles, Floats, covariance_without, distance, moments
 
@@ -97,14 +97,12 @@ def coverage(states: Floats, *, seed: int = 0, neighbour_rows: int = 6000, centr
     Raises ValueError for states that are not finite, all equal, or fewer than 22 different in the sample,
     for neighbours at one and the same distance (a grid), and for fewer than 2 centres.
     """
-    if centres < 2:
-        raise ValueError(f"greedy k-centre needs two or more centres, got {centres}")
     known = moments(states)
-    outside = outlying(states, known)
-    bulk = furthest_inside(states, known, outside, seed)
-    wide = diameter(states, known, seed, bulk)
+    bulk = bulk_of(states, known, seed)
+    wide = diameter(states, known, seed, bulk.furthest)
     inserted = insertion_distances(states, known.mean.astype(np.float32), centres)
     variances = _variances(known.covariance)
+    inner = _variances(covariance_without(known, states, bulk.outside))
     sample = states[spread_rows(len(states), neighbour_rows, seed)]
     different, without_tail, with_all, check = dimensions(sample)
     return Coverage(
@@ -114,7 +112,7 @@ def coverage(states: Floats, *, seed: int = 0, neighbour_rows: int = 6000, centr
         diameter=wide.distance,
         diameter_exact=wide.exact,
         furthest_rows=wide.rows,
-        bulk_diameter=distance(states, *bulk),
+        bulk_diameter=distance(states, *bulk.furthest),
         projection_width=wide.projection_width,
         radius=wide.radius,
         box_diagonal=known.box_diagonal,
@@ -123,7 +121,7 @@ def coverage(states: Floats, *, seed: int = 0, neighbour_rows: int = 6000, centr
         centre_last=float(inserted[-1]),
         centre_sum=float(inserted.sum()),
         participation_ratio=participation_ratio(variances),
-        bulk_participation_ratio=participation_ratio(_variances(covariance_without(known, states, outside))),
+        bulk_participation_ratio=participation_ratio(inner),
         variances=tuple(float(variance) for variance in variances),
         neighbour_rows=len(sample),
         duplicates=len(sample) - different,

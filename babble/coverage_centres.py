@@ -16,8 +16,10 @@ def insertion_distances(states: Floats, middle: Floats, centres: int) -> Doubles
 
     Exact, but most rows are never compared with most centres: a row's distance to the first centre is
     an upper bound of its distance to the nearest, so only rows whose bound reaches the largest
-    distance found are looked at.
+    distance found are looked at. Raises ValueError for fewer than two centres.
     """
+    if centres < 2:
+        raise ValueError(f"greedy k-centre needs two or more centres, got {centres}")
     start = states[int(squared_distances(states, middle).argmin())]
     bound = squared_distances(states, start)
     order = np.argsort(-bound, kind="stable")

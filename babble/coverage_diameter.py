@@ -78,25 +78,30 @@ def diameter(states: Floats, known: Moments, seed: int = 0, found: tuple[int, in
     return Diameter(best, distance(states, *best), exact, width, radius)
 
 
-def outlying(states: Floats, known: Moments) -> Indices:
-    """The rows that are not of the bulk: the one in OUTLYING, at least one, that lie furthest from the mean.
+@dataclass(frozen=True)
+class Bulk:
+    """All rows but the one in OUTLYING, at least one, that lie furthest from the mean."""
+
+    outside: Indices
+    """The rows that are not of it, rising."""
+    furthest: tuple[int, int]
+    """The furthest pair that sweeps find in it."""
+
+
+def bulk_of(states: Floats, known: Moments, seed: int = 0) -> Bulk:
+    """The bulk of (N, s) states.
 
     A single contact that flings a limb for some steps of a million can make the diameter fifty times as
     large, and the participation ratio a fifth smaller.
     """
-    squares = squared_distances(states, known.mean.astype(np.float32))
-    count = -(-len(states) // OUTLYING)
-    return np.sort(np.argpartition(squares, len(states) - count)[len(states) - count :])
-
-
-def furthest_inside(states: Floats, known: Moments, outside: Indices, seed: int = 0) -> tuple[int, int]:
-    """The furthest pair that sweeps find of rows that are not `outside`."""
     middle = known.mean.astype(np.float32)
     squares = squared_distances(states, middle)
+    count = -(-len(states) // OUTLYING)
+    outside = np.sort(np.argpartition(squares, len(states) - count)[len(states) - count :])
     squares[outside] = -np.inf
     inside = np.flatnonzero(squares >= 0)
     starts = np.append(np.random.default_rng(seed).choice(inside, STARTS), squares.argmax())
-    return _swept(states, starts, middle, float(squares.max()))
+    return Bulk(outside, _swept(states, starts, middle, float(squares.max())))
 
 
 def _extremes(states: Floats, middle: Floats, seed: int) -> tuple[Indices, float]:

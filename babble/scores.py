@@ -63,9 +63,7 @@ def score(
       the mean over all legs; switch_success: the share of legs with z_goal >= 0.9. Without the simplex z_j
       may be any number, and the `nearness` to the vertex is taken for it.
     - crossing: the share of consecutive legs that end on opposite sides of `crossing_axis`; where legs say
-      which side the body lies on, that end on its back and on its belly, each with |side| > 0.5: a body
-      that stops on a flank has not rolled over. A body that rolls without regard to its goals may reach
-      2 p (1 - p) <= 0.5, for a share p of ends on the back.
+      which side the body lies on, that end on its back and on its belly; see `_crossing`.
     - landmarks: of the legs to the vertex that stands for a landmark, the share that ended at it. At
       most one vertex stands for a landmark and one landmark for a vertex, so that the sum of the shares
       is greatest; landmark_vertices says which. One that no leg reached has share 0 and no vertex.
@@ -128,6 +126,11 @@ def _apart(posture: Doubles, goal: NDArray[np.int64], visited: NDArray[np.int64]
 
 
 def _crossing(legs: Legs, axis: int | None) -> float | None:
+    """By side each end needs |side| > 0.5: a body that stops on a flank has not rolled over.
+
+    A body that rolls without regard to its goals may reach 2 p (1 - p) <= 0.5, for a share p of ends on
+    the back.
+    """
     if axis is not None:
         side = np.sign(legs.posture[1:, :, axis])
     elif legs.side is not None:

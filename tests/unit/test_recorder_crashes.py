@@ -97,12 +97,7 @@ def test_killed_at_every_file_it_still_ends(tmp_path: Path) -> None:
 
 
 def test_a_damaged_newest_checkpoint_costs_nothing(tmp_path: Path) -> None:
-    stage = RecorderStage(open_loop(WANTED), tmp_path)
-    stage.actor(1)
-    stage.start(LIFE)
-    stage.announce(Phase.BABBLE, 1, ["body"])
-    stage.until_finished(1)
-    stage.crash(LIFE)
+    stage = recorded(tmp_path)
     newest = sorted((tmp_path / "checkpoints" / "recorder").glob("*.checkpoint"))[-1]
     newest.write_bytes(newest.read_bytes()[:-1])
     stage.start(LIFE)

@@ -170,7 +170,6 @@ def blueprint(
     `joints` are posture and proprioception; `task` is made when the model stays as it is. Raises ValueError.
     """
     actuation = _actuated(model, parameters, joints, actuators)
-    names = names_of(model, "joint")
     senses = partial(
         make_senses,
         model,
@@ -185,7 +184,7 @@ def blueprint(
         id=id,
         model=model,
         joints=joints,
-        joint_names=tuple(names[joint] for joint in joints),
+        joint_names=tuple(np.array(names_of(model, "joint"))[joints].tolist()),
         task=task(),
         actuation=actuation,
         senses=senses,
